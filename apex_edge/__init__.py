@@ -1,0 +1,3 @@
+"""APEX Edge: anticipatory safety for cheap robot arms."""
+
+__version__ = "0.1.0"
