@@ -140,7 +140,7 @@ class NewestSlot:
             self._ready.notify()
 
     def get(self, timeout_s: float) -> Optional[Frame]:
-        """Take the newest frame, waiting for one; None after ``timeout_s`` or when closed and empty."""
+        """Take the newest frame; None after waiting ``timeout_s``, or when closed and empty."""
         with self._ready:
             self._ready.wait_for(lambda: self._frame is not None or self._is_closed, timeout_s)
             frame, self._frame = self._frame, None
