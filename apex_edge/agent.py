@@ -1,0 +1,327 @@
+"""The agent: wire the stages, one step a frame (algorithm 1 of the paper, on a table).
+
+``step`` is deterministic: it reads no clock but the one handed in and keeps its state in its stages.
+``run`` is the thin loop around it, and the only place that catches everything: whatever fails,
+the arm is stopped first.
+"""
+
+import logging
+import time
+from dataclasses import dataclass, replace
+from typing import Callable, Dict, List, Optional, Tuple
+
+import numpy as np
+
+from apex_edge import graph
+from apex_edge.act import Actuator
+from apex_edge.cameras.base import Camera
+from apex_edge.config import setting
+from apex_edge.decide import Decider, OpenHazard, Situation
+from apex_edge.perception import Perception
+from apex_edge.planners.base import Planner, PlanRequest
+from apex_edge.simulate.base import PhysicsSim, SimulateConfig, problem_from
+from apex_edge.triggers.base import Trigger
+from apex_edge.types import (
+    Array,
+    ArmAck,
+    ArmCommand,
+    ArmState,
+    Candidates,
+    Decision,
+    DifferenceGraph,
+    Frame,
+    HazardScores,
+    Proposal,
+    Rollouts,
+    SceneGraph,
+    Step,
+    Tracks,
+    TrackStatus,
+)
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """What the agent guards and how it talks about it."""
+
+    protected: Tuple[str, ...] = setting(("red",), "names of the objects nothing may run into")
+    top_k: int = setting(3, "salient edges that make the summary (APEX algorithm 1, line 3)", 1, 20)
+    latency_s: float = setting(0.03, "s charged for the way from capture to servo byte", 0, 1)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The stages of one agent; ``actuator`` None means watch only."""
+
+    perception: Perception
+    trigger: Trigger
+    simulator: PhysicsSim
+    simulate: SimulateConfig
+    decider: Decider
+    planner: Planner
+    candidates: Candidates
+    tip_radius_m: float
+    mode: str
+    actuator: Optional[Actuator] = None
+
+
+class Stopwatch:
+    """Split the wall time of a step into named stages."""
+
+    def __init__(self, timer: Callable[[], float]) -> None:
+        self._timer = timer
+        self._last_s = timer()
+        self.timing_s: Dict[str, float] = {}
+
+    def lap(self, stage: str) -> None:
+        """Book the time since the last lap on ``stage``."""
+        now_s = self._timer()
+        self.timing_s[stage] = now_s - self._last_s
+        self._last_s = now_s
+
+
+class Agent:
+    """Follow a table frame by frame and stop what would run into a protected object.
+
+    Parameters
+    ----------
+    config : what to guard.
+    parts : the stages.
+    clock : seconds on the base of the frames' capture times.
+    timer : wall clock for the stage timings, which never enter a decision.
+    """
+
+    def __init__(
+        self,
+        config: AgentConfig,
+        parts: Parts,
+        clock: Callable[[], float],
+        timer: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._config = config
+        self._parts = parts
+        self._clock = clock
+        self._timer = timer
+        self._graph: Optional[SceneGraph] = None
+        self._asked = -1
+        self._last_t_s = float("nan")
+
+    def step(self, frame: Frame) -> Step:
+        """Take one frame through all stages and return everything it led to."""
+        watch = Stopwatch(self._timer)
+        detections, tracks = self._parts.perception.step(frame)
+        watch.lap("perceive")
+        difference = self._difference(frame, tracks)
+        watch.lap("graph")
+        hazards = None
+        if difference is not None:
+            hazards = self._parts.trigger.score(difference, self._parts.simulate.horizon_s)
+        watch.lap("trigger")
+        hazard = self._most_urgent(hazards, tracks)
+        arm = self._parts.actuator.state() if self._parts.actuator is not None else None
+        rollouts = self._rollouts(frame, tracks, hazard, arm)
+        watch.lap("simulate")
+        proposal = self._parts.planner.poll(self._clock())
+        summary = self._summary(difference, hazards)
+        decision = self._decide(frame, tracks, hazard, rollouts, proposal, arm, summary)
+        watch.lap("decide")
+        command, ack = self._act(decision)
+        watch.lap("act")
+        self._ask(decision, hazard, rollouts, tracks)
+        return Step(
+            frame=frame,
+            detections=detections,
+            tracks=tracks,
+            difference=difference,
+            hazards=hazards,
+            rollouts=rollouts,
+            proposal=proposal,
+            decision=decision,
+            command=command,
+            ack=ack,
+            arm=arm,
+            timing_s=watch.timing_s,
+        )
+
+    def close(self) -> None:
+        """Drop what is in flight and leave the arm where it is, stopped."""
+        self._parts.planner.close()
+        if self._parts.actuator is not None:
+            self._parts.actuator.stop()
+
+    def _difference(self, frame: Frame, tracks: Tracks) -> Optional[DifferenceGraph]:
+        """Build G_t and, against the frame before, the difference graph."""
+        if frame.camera is None or frame.is_repeated:
+            return None
+        newer = graph.build(tracks)
+        older, self._graph = self._graph, newer
+        if older is None or newer.t_s <= older.t_s:
+            return None
+        return graph.difference(older, newer)
+
+    def _most_urgent(
+        self, hazards: Optional[HazardScores], tracks: Tracks
+    ) -> Optional[OpenHazard]:
+        """Return the alarm with the earliest pessimistic contact about a protected object."""
+        if hazards is None or not hazards.is_fired.any():
+            return None
+        names = dict(zip((int(i) for i in tracks.track_id), tracks.name))
+        urgent: List[Tuple[float, int]] = []
+        for edge in np.flatnonzero(hazards.is_fired):
+            if names.get(int(hazards.target_id[edge])) in self._config.protected:
+                urgent.append((float(hazards.ttc_early_s[edge]), int(edge)))
+        if not urgent:
+            return None
+        _, edge = min(urgent)
+        return OpenHazard(
+            mover_id=int(hazards.mover_id[edge]),
+            target_id=int(hazards.target_id[edge]),
+            ttc_s=float(hazards.ttc_s[edge]),
+            ttc_early_s=float(hazards.ttc_early_s[edge]),
+        )
+
+    def _rollouts(
+        self,
+        frame: Frame,
+        tracks: Tracks,
+        hazard: Optional[OpenHazard],
+        arm: Optional[ArmState],
+    ) -> Optional[Rollouts]:
+        """Simulate every candidate for the open pair, each with its own arm arrival time."""
+        pair = hazard.pair if hazard is not None else self._parts.decider.pair
+        if pair is None or not _are_alive(tracks, pair):
+            return None
+        problem = problem_from(
+            tracks, pair[0], pair[1], self._parts.simulate, self._parts.tip_radius_m
+        )
+        arrival_s = self._arrival_s(frame, arm)
+        return self._parts.simulator.rollout(problem, self._parts.candidates, arrival_s)
+
+    def _arrival_s(self, frame: Frame, arm: Optional[ArmState]) -> Array:
+        """Return when the arm could stand at each candidate (n,), in s from the capture time."""
+        n = len(self._parts.candidates.tip_m)
+        if self._parts.actuator is None or arm is None:
+            return np.zeros(n)
+        late_s = max(self._clock() - frame.t_s, 0.0) + self._config.latency_s
+        arrival_s = self._parts.actuator.travel_s(self._parts.candidates, arm) + late_s
+        decider = self._parts.decider
+        if decider.index >= 0:
+            arrival_s[decider.index] = decider.remaining_s(frame.t_s)
+        return arrival_s
+
+    def _summary(
+        self, difference: Optional[DifferenceGraph], hazards: Optional[HazardScores]
+    ) -> str:
+        if difference is None or hazards is None:
+            return ""
+        horizon_s = self._parts.simulate.horizon_s
+        return graph.summarise(difference, hazards, self._config.top_k, horizon_s)
+
+    def _decide(
+        self,
+        frame: Frame,
+        tracks: Tracks,
+        hazard: Optional[OpenHazard],
+        rollouts: Optional[Rollouts],
+        proposal: Optional[Proposal],
+        arm: Optional[ArmState],
+        summary: str,
+    ) -> Decision:
+        period_s = frame.t_s - self._last_t_s
+        self._last_t_s = frame.t_s
+        situation = Situation(
+            seq=frame.seq,
+            t_s=frame.t_s,
+            hazard=hazard,
+            rollouts=rollouts,
+            proposal=proposal,
+            mover_gap_m=self._mover_gap_m(tracks, arm),
+            summary=summary,
+        )
+        if 0.0 < period_s < 1.0:
+            situation = replace(situation, period_s=period_s)
+        return self._parts.decider.step(situation)
+
+    def _mover_gap_m(self, tracks: Tracks, arm: Optional[ArmState]) -> float:
+        pair = self._parts.decider.pair
+        if pair is None or arm is None or not _are_alive(tracks, pair):
+            return float("inf")
+        row = int(np.flatnonzero(tracks.track_id == pair[0])[0])
+        flat_m = float(np.hypot(*(tracks.pos_m[row, :2] - arm.tip_m[:2])))
+        return flat_m - float(tracks.radius_m[row]) - self._parts.tip_radius_m
+
+    def _act(self, decision: Decision) -> Tuple[Optional[ArmCommand], Optional[ArmAck]]:
+        if self._parts.actuator is None:
+            return None, None
+        return self._parts.actuator.execute(decision, decision.seq, decision.t_s)
+
+    def _ask(
+        self,
+        decision: Decision,
+        hazard: Optional[OpenHazard],
+        rollouts: Optional[Rollouts],
+        tracks: Tracks,
+    ) -> None:
+        """Ask the planner once a hazard, after the reflex is ready and never before."""
+        decider, planner = self._parts.decider, self._parts.planner
+        if decider.pair is None and planner.is_pending:
+            planner.cancel()
+        if hazard is None or rollouts is None or not len(rollouts.best):
+            return
+        if self._asked == decider.snapshot:
+            return
+        self._asked = decider.snapshot
+        deadline_s = decision.deadline_s
+        if decision.action in ("intervene", "redirect") or not np.isfinite(deadline_s):
+            deadline_s = decision.t_s + hazard.ttc_early_s
+        planner.ask(
+            PlanRequest(
+                snapshot=decider.snapshot,
+                t_s=decision.t_s,
+                deadline_s=deadline_s,
+                mode=self._parts.mode,
+                summary=decision.summary,
+                tracks=tracks,
+                rollouts=rollouts,
+            )
+        )
+
+
+def _are_alive(tracks: Tracks, pair: Tuple[int, int]) -> bool:
+    """Say whether both ends of a pair are on the table, not lost, with a position."""
+    alive = (tracks.status != int(TrackStatus.LOST)) & np.isfinite(tracks.pos_m).all(axis=1)
+    present = set(int(i) for i in tracks.track_id[alive])
+    return pair[0] in present and pair[1] in present
+
+
+def run(
+    agent: Agent,
+    camera: Camera,
+    on_step: Callable[[Step], None],
+    is_over: Callable[[], bool],
+    stall_s: float = 2.0,
+) -> None:
+    """Run an agent on an open camera until the source ends or ``is_over`` says so.
+
+    Parameters
+    ----------
+    on_step : gets every Step (recorder, narrator, page); must not block.
+    stall_s : a live camera silent for this long is a fault.
+
+    Raises
+    ------
+    Whatever a stage or the camera raised, after the arm was stopped.
+    """
+    try:
+        while not is_over():
+            frame = camera.read(stall_s)
+            if frame is None:
+                return
+            on_step(agent.step(frame))
+    except Exception:
+        log.error("stopping the arm: the loop failed")
+        raise
+    finally:
+        agent.close()
