@@ -1,0 +1,1 @@
+"""Frame codecs: bytes <-> values, pure functions."""

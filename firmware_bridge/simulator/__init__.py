@@ -1,0 +1,1 @@
+"""Firmware that speaks the real bytes, with simulated servos behind it."""
