@@ -1,16 +1,26 @@
 """Package metadata; kept in setup.py so that pip on Python 3.7 and 32-bit ARM can build it."""
 
+from pathlib import Path
+
 from setuptools import find_packages, setup
 
-NOT_ARM32 = 'platform_machine != "armv7l" and platform_machine != "armv6l"'
+# On 32-bit ARM there are no wheels on PyPI: apt's python3-numpy and python3-opencv serve there.
+NOT_ARM32 = " and ".join(f'platform_machine != "{arm}"' for arm in ("armv6l", "armv7l", "armv8l"))
+HERE = Path(__file__).resolve().parent
 
 setup(
     name="apex-edge",
     version="0.1.0",
     description="Anticipatory safety agent for cheap robot arms",
-    long_description=open("README.md", encoding="utf-8").read(),
+    long_description=(HERE / "README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
+    classifiers=[
+        "Programming Language :: Python :: 3",
+        "Operating System :: POSIX :: Linux",
+        "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
+    ],
     python_requires=">=3.7",
     packages=find_packages(include=["apex_edge*", "firmware_bridge*", "calib*", "offline_train*"]),
     package_data={
@@ -20,7 +30,6 @@ setup(
         "offline_train": ["py.typed"],
     },
     install_requires=[
-        # On 32-bit ARM there are no wheels: apt's python3-numpy and python3-opencv serve there.
         "numpy>=1.19,<3",
         "opencv-python-headless>=4.7,<5; " + NOT_ARM32,
         "pyserial>=3.4",
@@ -35,8 +44,17 @@ setup(
         "protobuf>=4.21,<8",
     ],
     extras_require={
+        "train": ["scikit-learn>=1.0"],
         "offline": ["scikit-learn>=1.0", "mujoco>=2.3", "joblib>=1.2", "matplotlib>=3.5"],
         "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1"],
+        "lint": [
+            # 1.4.1 is the last mypy that checks for 3.7; it runs in the 3.7 environment
+            'mypy==1.4.1; python_version < "3.8"',
+            'types-requests; python_version < "3.8"',
+            'ruff>=0.17,<0.18; python_version >= "3.8"',
+            'import-linter>=2.1; python_version >= "3.9"',
+            'vermin>=1.6; python_version >= "3.8"',
+        ],
     },
     entry_points={
         "console_scripts": ["apex = apex_edge.cli:main"],
