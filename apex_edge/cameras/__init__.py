@@ -1,0 +1,1 @@
+"""Frame sources: the twin, recordings, live cameras."""
