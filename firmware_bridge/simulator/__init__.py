@@ -1,1 +1,7 @@
 """Firmware that speaks the real bytes, with simulated servos behind it."""
+
+from firmware_bridge.simulator.firmware import RrcFirmware
+from firmware_bridge.simulator.pty_board import PtyBoard
+from firmware_bridge.simulator.rig import SimulatedArm
+
+__all__ = ["PtyBoard", "RrcFirmware", "SimulatedArm"]

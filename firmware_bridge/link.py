@@ -1,0 +1,126 @@
+"""A serial line that is either there or lost: bytes out, waiting bytes in, one error for all.
+
+pyserial reports a vanished port in three ways (SerialException, plain OSError, termios.error);
+here all of them are LinkLost, and the port is closed.
+"""
+
+import contextlib
+import errno
+from typing import Any, List
+
+import serial
+from serial.tools import list_ports
+
+from firmware_bridge.errors import LinkLost, NoSuchPort, PortBusy, PortError
+
+try:
+    from termios import error as _TermiosError  # noqa: N812
+except ImportError:  # not a POSIX system
+    _TermiosError = OSError  # type: ignore[assignment,misc]
+
+# SerialException derives from OSError; both are named since pyserial says either.
+_LOST = (serial.SerialException, OSError, _TermiosError)
+_WRITE_TIMEOUT_S = 0.1  # 17 bytes take 0.2 ms at 1 Mbaud; a blocked line is as good as lost
+
+
+class SerialLink:
+    """One serial port, by path or pyserial URL; ``n_bytes_out`` and ``n_bytes_in`` count."""
+
+    def __init__(self, port: str, baud: int = 1_000_000) -> None:
+        self.port = port
+        self.baud = baud
+        self.n_bytes_out = 0
+        self.n_bytes_in = 0
+        self._serial: Any = None
+
+    @property
+    def is_open(self) -> bool:
+        """Say whether the port is open and has not been lost."""
+        return self._serial is not None
+
+    def open(self) -> None:
+        """Open the port, for this program alone where the system can do that.
+
+        Raises
+        ------
+        NoSuchPort, PortBusy, PortError : it cannot be opened, and why.
+        """
+        self.close()
+        try:
+            device = serial.serial_for_url(self.port, do_not_open=True)
+            device.baudrate = self.baud
+            device.timeout = 0
+            device.write_timeout = _WRITE_TIMEOUT_S
+            if "://" not in self.port:
+                device.exclusive = True
+            device.open()
+        except ValueError as error:
+            raise PortError(f"{self.port}: not a port that can be opened: {error}") from error
+        except _LOST as error:
+            raise self._why(error) from error
+        self._serial = device
+
+    def close(self) -> None:
+        """Close the port; safe to call at any time."""
+        device, self._serial = self._serial, None
+        if device is not None:
+            with contextlib.suppress(*_LOST):  # gone already is what closing wants
+                device.close()
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``.
+
+        Raises
+        ------
+        LinkLost : the port is closed, went away, or took no byte within the time-out.
+        """
+        device = self._device()
+        try:
+            n_written = device.write(data)
+        except _LOST as error:
+            raise self._lost("write", error) from error
+        self.n_bytes_out += n_written
+        if n_written != len(data):
+            raise self._lost("write", OSError(f"took {n_written} of {len(data)} bytes"))
+
+    def read_available(self) -> bytes:
+        """Return the bytes that wait, without blocking.
+
+        Raises
+        ------
+        LinkLost : the port is closed or went away.
+        """
+        device = self._device()
+        try:
+            data = bytes(device.read(max(int(device.in_waiting), 1)))
+        except _LOST as error:
+            raise self._lost("read", error) from error
+        self.n_bytes_in += len(data)
+        return data
+
+    def _device(self) -> Any:
+        if self._serial is None:
+            raise LinkLost(f"{self.port}: the link is not open")
+        return self._serial
+
+    def _lost(self, action: str, error: BaseException) -> LinkLost:
+        self.close()
+        return LinkLost(f"{self.port}: {action} failed, the board is gone: {error}")
+
+    def _why(self, error: BaseException) -> PortError:
+        number = getattr(error, "errno", None)
+        if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+            found = ", ".join(ports()) or "none"
+            return NoSuchPort(f"{self.port}: no such port; ports found: {found}")
+        if number in (errno.EBUSY, errno.EACCES, errno.EAGAIN, errno.EPERM):
+            return PortBusy(
+                f"{self.port}: held by another program, or this user may not open it: {error}"
+            )
+        if "exclusively lock" in str(error):
+            return PortBusy(f"{self.port}: held by another program: {error}")
+        return PortError(f"{self.port}: cannot be opened: {error}")
+
+
+def ports() -> List[str]:
+    """List the serial ports this machine has."""
+    return sorted(port.device for port in list_ports.comports())
