@@ -1,6 +1,6 @@
 """Make a virtual environment inside the checkout and install the project into it.
 
-Run by the interpreter the environment is for: ``python3 scripts/setup_venv.py .venv --extras test``.
+Run by the interpreter it is for: ``python3 scripts/setup_venv.py .venv --extras test``.
 Standard library only. A stamp in the environment remembers what it was made from, so a run that
 has nothing to do ends at once; another interpreter or a moved checkout makes it anew.
 """
