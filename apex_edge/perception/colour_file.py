@@ -1,0 +1,118 @@
+"""The colour file: versioned JSON, checked by hash and range before anything is built from it.
+
+::
+
+    {"format": "apex-edge-colours", "version": 1, "sha256": "...",
+     "colours": [{"name", "chroma", "chroma_cov", "log_luma", "log_luma_sd", "gate", "floor"}],
+     "made": {...}}        what it was made from and how well it did; not needed to use it
+
+The hash covers the whole document but itself, in canonical form (sorted keys, no spaces).
+"""
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any, Dict, List, Mapping, Sequence
+
+from apex_edge.errors import ColourError
+
+FORMAT = "apex-edge-colours"
+VERSION = 1
+_RANGES = {
+    "log_luma": (0.0, 6.0),
+    "log_luma_sd": (0.01, 3.0),
+    "gate": (0.1, 200.0),
+    "floor": (0.0, 1.0),
+}
+
+
+def digest(document: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a document's canonical form without its ``sha256``."""
+    content = {key: value for key, value in document.items() if key != "sha256"}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def compose(colours: Sequence[Mapping[str, Any]], made: Mapping[str, Any]) -> Dict[str, Any]:
+    """Return a complete document for colours given as plain mappings."""
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "colours": [dict(colour) for colour in colours],
+        "made": dict(made),
+    }
+    document = json.loads(json.dumps(document))  # tuples become lists, as they will be read
+    document["sha256"] = digest(document)
+    return document
+
+
+def read(path: Path) -> List[Dict[str, Any]]:
+    """Return the checked colours of a file, each as the arguments of a ``ColourModel``.
+
+    Raises
+    ------
+    ColourError : unreadable, not JSON, wrong format, version, hash, key or range.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ColourError(f"{path}: cannot read the colour file: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise ColourError(f"{path}: not a JSON colour file: {error}") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise ColourError(f"{path}: not a colour file, expected format {FORMAT!r}")
+    if document.get("version") != VERSION:
+        raise ColourError(
+            f"{path}: version {document.get('version')!r} is not supported, expected {VERSION}"
+        )
+    found = digest(document)
+    if document.get("sha256") != found:
+        raise ColourError(
+            f"{path}: the content does not match its hash (stated {document.get('sha256')!r}, "
+            f"found {found!r}); calibrate again instead of editing the file"
+        )
+    colours = document.get("colours")
+    if not isinstance(colours, list) or not colours:
+        raise ColourError(f"{path}: no colours in the file")
+    return [_checked(colour, path) for colour in colours]
+
+
+def _checked(colour: Any, path: Path) -> Dict[str, Any]:
+    if not isinstance(colour, dict) or not isinstance(colour.get("name"), str):
+        raise ColourError(f"{path}: a colour without a name")
+    name = colour["name"]
+    if not name.strip() or len(name) > 64:
+        raise ColourError(f"{path}: colour name {name!r} must have 1 to 64 characters")
+    chroma = _numbers(colour.get("chroma"), 2, f"{path}: colour {name!r}: chroma")
+    rows = colour.get("chroma_cov")
+    if not isinstance(rows, list) or len(rows) != 2:
+        raise ColourError(f"{path}: colour {name!r}: chroma_cov must be 2 rows of 2 numbers")
+    (a, b), (c, d) = (_numbers(row, 2, f"{path}: colour {name!r}: chroma_cov") for row in rows)
+    if not (a > 0.0 and d > 0.0 and b == c and a * d - b * b > 1e-12):
+        raise ColourError(f"{path}: colour {name!r}: chroma_cov is not a covariance")
+    if not 1e-3 <= math.hypot(*chroma) <= 2.0:
+        raise ColourError(f"{path}: colour {name!r}: chroma {chroma} is outside [0.001, 2]")
+    result: Dict[str, Any] = {
+        "name": name,
+        "chroma": (chroma[0], chroma[1]),
+        "chroma_cov": ((a, b), (c, d)),
+    }
+    for key, (low, high) in _RANGES.items():
+        (value,) = _numbers([colour.get(key)], 1, f"{path}: colour {name!r}: {key}")
+        if not low <= value <= high:
+            raise ColourError(
+                f"{path}: colour {name!r}: {key} = {value} is outside [{low}, {high}]"
+            )
+        result[key] = value
+    return result
+
+
+def _numbers(values: Any, count: int, where: str) -> List[float]:
+    if not isinstance(values, list) or len(values) != count:
+        raise ColourError(f"{where} must be {count} numbers, found {values!r}")
+    for value in values:
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not is_number or not math.isfinite(value):
+            raise ColourError(f"{where} must be finite numbers, found {value!r}")
+    return [float(value) for value in values]

@@ -1,0 +1,34 @@
+"""Settings of the perception stage."""
+
+from dataclasses import dataclass
+
+from apex_edge.config import setting
+
+
+@dataclass(frozen=True)
+class PerceptionConfig:
+    """Section ``[perception]``: how blobs are found, followed and turned into motion."""
+
+    min_area_px2: float = setting(30.0, "smallest blob at full resolution, px^2", 4.0, 1e6)
+    max_area_share: float = setting(0.25, "largest blob, share of the picture", 0.001, 1.0)
+    min_relative_area: float = setting(
+        0.05, "drop a blob smaller than this share of the largest one of its colour", 0.0, 1.0
+    )
+    search_width_px: int = setting(640, "width at which the whole picture is searched", 80, 4096)
+    search_every: int = setting(3, "search the whole picture every k-th frame", 1, 1000)
+    window_margin_px: int = setting(10, "margin around a predicted box, px", 2, 500)
+    noise_px: float = setting(0.5, "centroid noise, px", 0.01, 20.0)
+    bias_m: float = setting(0.0012, "systematic position error with depth, m", 0.0, 0.1)
+    plane_bias_m: float = setting(0.006, "systematic position error without depth, m", 0.0, 0.5)
+    object_height_m: float = setting(0.030, "object height assumed without depth, m", 0.0, 1.0)
+    min_depth_share: float = setting(0.3, "valid share of a blob's depth to trust it", 0.0, 1.0)
+    max_radius_m: float = setting(0.12, "largest object radius believed, m", 0.005, 5.0)
+    max_miss_s: float = setting(0.25, "a track unseen for longer is lost, s", 0.01, 10.0)
+    window: int = setting(20, "most samples in a motion fit", 4, 200)
+    min_samples: int = setting(3, "samples before a speed is given", 2, 20)
+    gate_sigma: float = setting(4.0, "innovation gate, predicted standard deviations", 1.0, 20.0)
+    stamp_sd_s: float = setting(0.001, "jitter of the capture stamps, s", 0.0, 0.1)
+    speed_sd_m_s: float = setting(1.0, "speed expected of a new object, m/s", 0.01, 50.0)
+    speed_sd_px_s: float = setting(2000.0, "speed expected of a new object, px/s", 1.0, 1e5)
+    acc_sd_m_s2: float = setting(0.5, "unforeseen acceleration while unseen, m/s^2", 0.0, 100.0)
+    acc_sd_px_s2: float = setting(600.0, "unforeseen acceleration while unseen, px/s^2", 0.0, 1e6)

@@ -1,0 +1,258 @@
+"""Teach object colours from labelled discs of a picture, and refuse what cannot be told apart.
+
+Every colour is a robust Gaussian over its disc's pixels. Its acceptance gate is then narrowed
+until no more than ``MAX_FALSE`` of the background is taken for it. What is left is measured:
+recall on the object, false positives on the background. Source: ours.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+import cv2
+import numpy as np
+
+from apex_edge.errors import ColourError
+from apex_edge.perception.colour import (
+    GATE_999,
+    ColourModel,
+    ColourTable,
+    distance2,
+    features,
+    model_from,
+)
+from apex_edge.types import Array
+
+PASS, WARN, REFUSE = "pass", "warn", "refuse"
+MIN_RECALL, REFUSED_RECALL = 0.98, 0.90
+MAX_FALSE, REFUSED_FALSE = 0.001, 0.01
+MAX_FOREIGN, REFUSED_FOREIGN = 0.15, 0.45
+MIN_RADIUS_PX = 2.0
+ZONE = 4.0  # the object is what hangs together with the disc within this many disc radii
+_GATES = (GATE_999, 11.34, 7.81, 6.25)  # 99.9, 99, 95, 90 %
+_FLOORS = (0.5, 0.6, 0.7)
+_CORE_SHARE = 0.6  # of a disc's pixels taken as surely the object's while fitting
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A disc that shows one colour: centre and radius in pixels."""
+
+    name: str
+    x_px: float
+    y_px: float
+    radius_px: float
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How well one colour can be told: shares are of pixels, 0..1.
+
+    ``recall`` of the disc's own pixels, ``false_share`` of the background, ``foreign_share`` of
+    the disc that is not of the colour (highlight, edge), ``confused_with`` the other colour that
+    takes most of its pixels, ``leak_share`` of the neighbourhood the colour runs out into.
+    """
+
+    name: str
+    verdict: str
+    reasons: Tuple[str, ...]
+    recall: float
+    false_share: float
+    foreign_share: float
+    leak_share: float
+    confused_with: str
+    confused_share: float
+    n_pixels: int
+
+
+@dataclass(frozen=True)
+class ColourResult:
+    """Models, their figures, and the labels (h, w) found in the picture itself."""
+
+    models: Tuple[ColourModel, ...]
+    quality: Tuple[Quality, ...]
+    labels: Array
+
+    @property
+    def verdict(self) -> str:
+        """Return the worst verdict of all colours."""
+        verdicts = [quality.verdict for quality in self.quality]
+        return max(verdicts, key=(PASS, WARN, REFUSE).index)
+
+    def colours(self) -> List[Dict[str, Any]]:
+        """Return the models as plain mappings for the colour file."""
+        return [asdict(model) for model in self.models]
+
+    def figures(self) -> List[Dict[str, Any]]:
+        """Return the quality of each colour as plain mappings."""
+        return [asdict(quality) for quality in self.quality]
+
+
+def solve(
+    picture: Array, samples: Sequence[Sample], background: Optional[Array] = None
+) -> ColourResult:
+    """Model each sampled colour and judge whether it can be used.
+
+    Parameters
+    ----------
+    picture : shape (h, w, 3) uint8 BGR, with the objects in view.
+    samples : discs inside the picture; several of one name are pooled.
+    background : shape (h2, w2, 3) uint8 BGR without any of the objects, if there is one.
+
+    Raises
+    ------
+    ColourError : no sample, a disc outside the picture or too small, or a colour without hue.
+    """
+    if not samples:
+        raise ColourError("no sample given; name at least one disc as NAME:x,y,r")
+    for sample in samples:
+        _check(sample, picture.shape)
+    names = tuple(dict.fromkeys(sample.name for sample in samples))
+    discs = {name: _disc_mask(picture.shape, samples, name) for name in names}
+    ring = {name: _disc_mask(picture.shape, samples, name, ZONE) for name in names}
+    cores = {name: _robust_core(name, features(picture[discs[name]])) for name in names}
+    rest = ~np.logical_or.reduce([ring[name] for name in names])
+    ground = features(picture[rest])
+    if background is not None:
+        ground = np.vstack([ground, features(background.reshape(-1, 3))])
+    models = tuple(_narrow(cores[name][0], cores[name][1], ground) for name in names)
+    table = ColourTable(models)
+    labels = table.classify(picture)
+    grounds = [picture[rest]] + ([] if background is None else [background.reshape(-1, 3)])
+    found = np.concatenate([table.classify(g.reshape(1, -1, 3)).ravel() for g in grounds])
+    quality = tuple(
+        _judge(index + 1, names, labels, found, (discs[name], ring[name], cores[name][2]))
+        for index, name in enumerate(names)
+    )
+    return ColourResult(models, quality, labels)
+
+
+def _check(sample: Sample, shape: Tuple[int, ...]) -> None:
+    height, width = shape[:2]
+    where = f"sample {sample.name}:{sample.x_px:g},{sample.y_px:g},{sample.radius_px:g}"
+    if not sample.name.strip() or len(sample.name) > 64:
+        raise ColourError(f"{where}: a name must have 1 to 64 characters")
+    if not sample.radius_px >= MIN_RADIUS_PX:
+        raise ColourError(f"{where}: radius must be at least {MIN_RADIUS_PX:g} px")
+    is_inside = 0 <= sample.x_px <= width - 1 and 0 <= sample.y_px <= height - 1
+    if not is_inside:
+        raise ColourError(f"{where}: the centre lies outside the {width}x{height} picture")
+    if sample.radius_px > max(width, height):
+        raise ColourError(f"{where}: the disc is larger than the {width}x{height} picture")
+
+
+def _disc_mask(
+    shape: Tuple[int, ...], samples: Sequence[Sample], name: str, scale: float = 1.0
+) -> Array:
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    mask = np.zeros(shape[:2], dtype=bool)
+    for sample in samples:
+        if sample.name == name:
+            square = (columns - sample.x_px) ** 2 + (rows - sample.y_px) ** 2
+            mask |= square <= (scale * sample.radius_px) ** 2
+    return mask
+
+
+def _robust_core(name: str, points: Array) -> Tuple[ColourModel, Array, Array]:
+    """Return a model, the points it was fitted to and a mask (n,) of which those are.
+
+    Starts at the median and keeps refitting to the closest 60 %, so that a highlight or a disc
+    drawn a little too large does not shift the colour.
+    """
+    if len(points) < 9:
+        raise ColourError(f"colour {name!r}: {len(points)} pixels in the disc, at least 9 needed")
+    centre = np.median(points, axis=0)
+    scale = 1.4826 * np.median(np.abs(points - centre), axis=0) + 1e-3
+    order = np.argsort((((points - centre) / scale) ** 2).sum(axis=1))
+    n_core = max(5, int(_CORE_SHARE * len(points)))
+    core = order[:n_core]
+    for _ in range(5):
+        model = replace(model_from(name, points[core]), floor=0.0)
+        core = np.argsort(distance2(model, points)[0], kind="stable")[:n_core]
+    model = model_from(name, points[core])
+    own = distance2(model, points)[0] <= GATE_999
+    if own.sum() >= 3:
+        model = model_from(name, points[own])
+        own = distance2(model, points)[0] <= GATE_999
+    return model, points[own], own
+
+
+def _narrow(model: ColourModel, own: Array, ground: Array) -> ColourModel:
+    """Return the model with the widest gate that keeps the background out, or the best there is."""
+    best, best_loss = model, np.inf
+    own_dist = distance2(replace(model, floor=0.0), own)[0]
+    ground_dist = distance2(replace(model, floor=0.0), ground)[0]
+    chroma = np.asarray(model.chroma)
+    along = chroma / float(chroma @ chroma)
+    own_saturation, ground_saturation = own[:, :2] @ along, ground[:, :2] @ along
+    for gate in _GATES:
+        for floor in _FLOORS:
+            missed = 1.0 - np.mean((own_dist <= gate) & (own_saturation >= floor))
+            is_false = (ground_dist <= gate) & (ground_saturation >= floor)
+            false = float(np.mean(is_false)) if len(ground) else 0.0
+            loss = max(0.0, false - 0.5 * MAX_FALSE) * 100.0 + max(0.0, missed - 0.01)
+            if loss < best_loss:
+                best, best_loss = replace(model, gate=gate, floor=floor), loss
+    return best
+
+
+def _judge(
+    label: int,
+    names: Tuple[str, ...],
+    labels: Array,
+    ground_labels: Array,
+    masks: Tuple[Array, Array, Array],
+) -> Quality:
+    disc, zone, own = masks
+    name = names[label - 1]
+    in_disc = labels[disc]
+    own_labels = in_disc[own]
+    n_own = max(1, len(own_labels))
+    recall = float(np.mean(own_labels == label)) if len(own_labels) else 0.0
+    others = np.bincount(own_labels, minlength=len(names) + 1)
+    others[[0, label]] = 0
+    rival = int(np.argmax(others))
+    confused = float(others[rival]) / n_own
+    foreign = 1.0 - float(np.mean(own))
+    false = float(np.mean(ground_labels == label)) if len(ground_labels) else 0.0
+    leak = _leak(labels == label, disc, zone)
+    rules = (
+        (recall, -1, MIN_RECALL, REFUSED_RECALL, "finds only {:.1%} of its own pixels"),
+        (false, 1, MAX_FALSE, REFUSED_FALSE, "takes {:.2%} of the background for the object"),
+        (foreign, 1, MAX_FOREIGN, REFUSED_FOREIGN, "{:.0%} of the disc is not of one colour"),
+        (leak, 1, 0.3, 0.6, "runs out into {:.0%} of the object's surroundings"),
+        (confused, 1, 0.02, 0.10, "{:.1%} of its pixels look like " + repr(names[rival - 1])),
+    )
+    verdict, reasons = PASS, []
+    for value, sign, warn, refuse, text in rules:
+        if sign * value <= sign * warn:
+            continue
+        grade = REFUSE if sign * value > sign * refuse else WARN
+        verdict = max(verdict, grade, key=(PASS, WARN, REFUSE).index)
+        limit = warn if grade == WARN else refuse
+        reasons.append(f"{text.format(value)} (limit {limit:.3g})")
+    return Quality(
+        name=name,
+        verdict=verdict,
+        reasons=tuple(reasons),
+        recall=recall,
+        false_share=false,
+        foreign_share=foreign,
+        leak_share=leak,
+        confused_with=names[rival - 1] if confused > 0.0 else "",
+        confused_share=confused,
+        n_pixels=int(disc.sum()),
+    )
+
+
+def _leak(found: Array, disc: Array, zone: Array) -> float:
+    """Return the share of the zone's outer rim that the object's own blob reaches.
+
+    A colour that is also the colour of its surroundings floods the zone to its edge.
+    """
+    inside = (found & zone).astype(np.uint8)
+    _, parts = cv2.connectedComponents(inside, connectivity=8)
+    own = np.unique(parts[disc & (inside > 0)])
+    if not len(own):
+        return 0.0
+    rim = zone & (cv2.erode(zone.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
+    return float(np.mean(np.isin(parts[rim], own))) if rim.any() else 0.0
