@@ -1,0 +1,1 @@
+"""Planners: each proposes an index into the verified candidates, none decides and none moves."""
