@@ -1,4 +1,4 @@
-"""Colours of the twin: what is painted on the objects, and what perception must not confuse them with.
+"""Colours of the twin: what is painted on the objects, and what must not be confused with them.
 
 Shading is multiplicative (a factor of about 0.55 on a side away from the light to 1.1 on a side
 towards it), so a surface keeps its chromaticity and changes in brightness only.
@@ -25,6 +25,6 @@ SURROUNDINGS: Dict[str, Bgr] = {
     "skin": (132.0, 164.0, 214.0),
     "sleeve": (96.0, 84.0, 78.0),
     "arm": (66.0, 62.0, 60.0),
-    "gripper": (88.0, 84.0, 82.0),
+    "gripper": (122.0, 118.0, 115.0),
 }
 """Mean BGR of everything that is not an object; none of it is an object colour."""

@@ -58,7 +58,9 @@ def is_safe_path(item: SceneObject, start: Point, end: Point) -> bool:
     """Say whether an object stays on the table and wholly in view from start to end."""
     if not (_is_on_table(start, item.radius_m) and _is_on_table(end, item.radius_m)):
         return False
-    points = np.array([(*start, item.radius_m), (*end, item.radius_m), (*item.pos_m, item.radius_m)])
+    points = np.array(
+        [(*start, item.radius_m), (*end, item.radius_m), (*item.pos_m, item.radius_m)]
+    )
     return is_in_view(_CAMERA, points, 1.5 * item.radius_m)
 
 
@@ -118,7 +120,9 @@ def _other(rng: np.random.RandomState, at: Point, index: int, is_moving: bool) -
     is_ball = is_moving or rng.uniform() < 0.4
     name = f"{colour} {'ball' if is_ball else 'block'} {index + 1}"
     if is_ball:
-        return SceneObject(name, colour, "ball", 0.015, at, friction=float(rng.uniform(0.004, 0.012)))
+        return SceneObject(
+            name, colour, "ball", 0.015, at, friction=float(rng.uniform(0.004, 0.012))
+        )
     return plain_block(rng, name, colour, at, float(rng.uniform(-0.8, 0.8)))
 
 

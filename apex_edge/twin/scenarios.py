@@ -79,7 +79,9 @@ def _ball_mover(
     ball = SceneObject("green ball", "green", "ball", BALL_RADIUS_M, start, friction=drag)
     if wait_s <= 0.0:
         rolling = (speed * math.cos(angle), speed * math.sin(angle))
-        return SceneObject(ball.name, "green", "ball", BALL_RADIUS_M, start, rolling, friction=drag), None
+        return SceneObject(
+            ball.name, "green", "ball", BALL_RADIUS_M, start, rolling, friction=drag
+        ), None
     begin = shifted(start, angle, -FLICK_WAY_M)
     ball = SceneObject(ball.name, "green", "ball", BALL_RADIUS_M, begin, friction=drag)
     return ball, straight(ball.name, "flick", (wait_s, 2.0 * FLICK_WAY_M / speed), begin, start)

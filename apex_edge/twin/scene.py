@@ -1,4 +1,4 @@
-"""What a scene is made of: objects at rest or rolling, hands that move them, and what is at stake."""
+"""What a scene is made of: objects at rest or rolling, hands that move them, what is at stake."""
 
 import math
 from dataclasses import dataclass
