@@ -14,7 +14,7 @@ import sys
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Callable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 from urllib.parse import urlsplit
 
 import importlib_metadata
@@ -117,8 +117,10 @@ def examine(env: Mapping[str, str], config_path: Optional[str] = None) -> List[C
     checks += [check_package(package, is_needed=False) for package in OPTIONAL]
     checks += check_cameras(Path("/dev"), Path("/sys/class/video4linux"))
     checks += check_serial_ports()
-    checks += check_llm(env, answers)
-    checks += check_settings(config_path)
+    config, found = read_settings(config_path)
+    checks += found
+    checks += check_files(config) if config is not None else []
+    checks += check_llm(env, answers, config.planner if config is not None else None)
     checks += check_throttling(read_throttled())
     return checks
 
@@ -233,54 +235,40 @@ def check_serial_ports() -> List[Check]:
     return checks
 
 
-def check_llm(env: Mapping[str, str], can_reach: Callable[[str, int], bool]) -> List[Check]:
-    """Report the language model endpoint from the environment; never shows a secret.
+def check_llm(
+    env: Mapping[str, str], can_reach: Callable[[str, int], bool], config: Any = None
+) -> List[Check]:
+    """Report the language model endpoint; never shows a secret.
 
     Parameters
     ----------
-    env : the environment.
+    env : the environment, which overrides the settings.
     can_reach : says whether host and port accept a connection.
+    config : section [planner] of the settings, a PlannerConfig; None means all defaults.
     """
-    url = env.get("APEX_LLM_BASE_URL", "")
-    if not url:
+    name = "language model"
+    # here, not at the top: these modules need the packages that may be missing
+    try:
+        from apex_edge.planners.base import PlannerConfig
+        from apex_edge.planners.endpoint import endpoint_from, with_environment
+    except ImportError as error:
+        return [Check(name, WARN, f"cannot look: {error}")]
+    settings = with_environment(config or PlannerConfig(), env)
+    if not settings.base_url:
         cure = "set APEX_LLM_BASE_URL and APEX_LLM_MODEL (any OpenAI-compatible server)"
-        return [Check("language model", NOTE, "none set: the reflex decides alone", cure)]
+        return [Check(name, NOTE, "none set: the reflex decides alone", cure)]
     try:
-        parts = urlsplit(url)
-        host, port = parts.hostname, parts.port or (443 if parts.scheme == "https" else 80)
-    except ValueError:
-        host, port = None, 0
-    if not host or parts.scheme not in ("http", "https"):
-        cure = "APEX_LLM_BASE_URL looks like http://127.0.0.1:8080/v1"
-        return [Check("language model", WARN, "APEX_LLM_BASE_URL is not an http(s) URL", cure)]
-    where = f"{parts.scheme}://{host}:{port}"
-    if can_reach(host, port):
-        checks = [Check("language model", OK, f"{where} accepts connections")]
-    else:
-        cure = "start the server or mend the URL; until then the reflex decides alone"
-        checks = [Check("language model", WARN, f"{where} does not answer", cure)]
-    if not env.get("APEX_LLM_MODEL"):
-        checks.append(Check("model name", NOTE, "APEX_LLM_MODEL is not set"))
-    checks.append(_check_key(env))
-    return checks
-
-
-def _check_key(env: Mapping[str, str]) -> Check:
-    name = "model key"
-    if env.get("APEX_LLM_API_KEY"):
-        return Check(name, OK, "APEX_LLM_API_KEY is set")
-    path = env.get("APEX_LLM_API_KEY_FILE", "")
-    if not path:
-        return Check(name, NOTE, "none set; a local server needs none")
-    try:
-        mode = Path(path).stat().st_mode & 0o777
-    except OSError as error:
-        return Check(name, WARN, f"APEX_LLM_API_KEY_FILE {path}: {error.strerror}")
-    if not os.access(path, os.R_OK):
-        return Check(name, WARN, f"APEX_LLM_API_KEY_FILE {path}: not readable")
-    if mode & 0o077:
-        return Check(name, WARN, f"{path} can be read by others", f"chmod 600 {path}")
-    return Check(name, OK, f"in {path}")
+        endpoint = endpoint_from(settings, env)
+    except ApexError as error:
+        return [Check(name, FAIL, str(error), f"docs/errors.md#{error.slug}", is_needed=True)]
+    parts = urlsplit(endpoint.url)
+    port = parts.port or (443 if parts.scheme == "https" else 80)
+    key = "with a key" if endpoint.key else "no key (a local server needs none)"
+    found = f"{parts.scheme}://{parts.hostname}:{port}, model {endpoint.model or 'unnamed'}, {key}"
+    if can_reach(str(parts.hostname), port):
+        return [Check(name, OK, f"{found}; accepts connections")]
+    cure = "start the server or mend the URL; until then the reflex decides alone"
+    return [Check(name, WARN, f"{found}; does not answer", cure)]
 
 
 def answers(host: str, port: int) -> bool:
@@ -292,30 +280,39 @@ def answers(host: str, port: int) -> bool:
         return False
 
 
-def check_settings(path: Optional[str]) -> List[Check]:
-    """Check a settings file and the files it names (camera calibration, colours)."""
+def read_settings(path: Optional[str]) -> Tuple[Any, List[Check]]:
+    """Return the settings (None when there are none) and what is to be said about the file."""
     if path is None:
-        return [Check("calibration", NOTE, "none checked", "apex doctor --config FILE checks it")]
+        return None, [Check("settings", NOTE, "none checked", "apex doctor --config FILE")]
     # here, not at the top: it pulls in every stage, which may be what is broken
     try:
-        from apex_edge.assemble import load_colours, load_config
+        from apex_edge.assemble import load_config
 
-        config = load_config(path)
+        return load_config(path), [Check("settings", OK, path)]
     except (ApexError, ImportError) as error:
-        return [Check("settings", FAIL, str(error))]
-    checks = [Check("settings", OK, path)]
+        return None, [Check("settings", FAIL, str(error))]
+
+
+def check_files(config: Any) -> List[Check]:
+    """Check the files that the settings (an ApexConfig) name: colours and camera calibration."""
+    from apex_edge.assemble import load_colours
+    from apex_edge.cameras.calibration import load_camera
+
+    checks = []
     try:
-        names = ", ".join(load_colours(config.colours).names)
-        checks.append(Check("colours", OK, names))
+        checks.append(Check("colours", OK, ", ".join(load_colours(config.colours).names)))
     except ApexError as error:
         checks.append(Check("colours", FAIL, str(error), "apex calibrate colour makes the file"))
-    calibration = config.camera.calibration
-    if not calibration:
+    path = config.camera.calibration
+    if not path:
         checks.append(Check("calibration", NOTE, "none named: only what the camera source carries"))
-    elif Path(calibration).is_file():
-        checks.append(Check("calibration", OK, calibration))
-    else:
-        checks.append(Check("calibration", FAIL, f"{calibration}: no such file"))
+        return checks
+    try:
+        camera = load_camera(path)
+        size = f"{camera.width_px}x{camera.height_px}"
+        checks.append(Check("calibration", OK, f"{path}, pictures of {size}"))
+    except ApexError as error:
+        checks.append(Check("calibration", FAIL, str(error)))
     return checks
 
 

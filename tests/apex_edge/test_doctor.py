@@ -108,38 +108,50 @@ def test_no_endpoint_is_a_note():
 
 
 def test_endpoint_that_answers_is_ok_and_one_that_does_not_is_a_warning():
-    env = {"APEX_LLM_BASE_URL": "http://127.0.0.1:8080/v1", "APEX_LLM_MODEL": "m"}
-    assert doctor.check_llm(env, reachable)[0].status == OK
-    assert doctor.check_llm(env, unreachable)[0].status == WARN
+    env = {"APEX_LLM_BASE_URL": "http://127.0.0.1:8080/v1", "APEX_LLM_MODEL": "small"}
+    assert statuses(doctor.check_llm(env, reachable)) == [OK]
+    check = doctor.check_llm(env, unreachable)[0]
+    assert check.status == WARN
+    assert "http://127.0.0.1:8080, model small, no key" in check.found
+
+
+def test_port_asked_is_the_one_of_the_scheme():
+    asked = []
+    env = {"APEX_LLM_BASE_URL": "https://host.example/v1"}
+    doctor.check_llm(env, lambda host, port: asked.append((host, port)) or True)
+    assert asked == [("host.example", 443)]
 
 
 @pytest.mark.parametrize("url", ["127.0.0.1:8080", "ftp://host/v1", "http://", "http://h:nan/v1"])
-def test_url_that_can_never_work_is_a_warning(url):
-    assert statuses(doctor.check_llm({"APEX_LLM_BASE_URL": url}, reachable)) == [WARN]
+def test_url_that_can_never_work_stops_the_demo(url):
+    check = doctor.check_llm({"APEX_LLM_BASE_URL": url}, reachable)[0]
+    assert check.status == FAIL
+    assert check.is_needed
 
 
 def test_no_secret_is_ever_shown(tmp_path):
     key_file = tmp_path / "key"
     key_file.write_text(SECRET)
-    base = {"APEX_LLM_BASE_URL": f"https://user:{SECRET}@host.example/v1?key={SECRET}"}
+    key_file.chmod(0o600)
+    good, bad = "https://host.example/v1", f"https://user:{SECRET}@host.example/v1?key={SECRET}"
     for extra in ({"APEX_LLM_API_KEY": SECRET}, {"APEX_LLM_API_KEY_FILE": str(key_file)}):
-        for can_reach in (reachable, unreachable):
-            checks = doctor.check_llm({**base, **extra}, can_reach)
+        for url in (good, bad):
+            checks = doctor.check_llm({"APEX_LLM_BASE_URL": url, **extra}, reachable)
             assert SECRET not in repr(checks)
+        assert (
+            "with a key"
+            in doctor.check_llm({"APEX_LLM_BASE_URL": good, **extra}, reachable)[0].found
+        )
 
 
-@pytest.mark.parametrize(("mode", "status"), [(0o600, OK), (0o644, WARN)])
-def test_key_file_that_others_can_read_is_a_warning(tmp_path, mode, status):
+def test_key_file_that_others_can_read_is_refused_with_the_cure(tmp_path):
     key_file = tmp_path / "key"
     key_file.write_text(SECRET)
-    key_file.chmod(mode)
-    env = {"APEX_LLM_BASE_URL": "http://h/v1", "APEX_LLM_API_KEY_FILE": str(key_file)}
-    assert doctor.check_llm(env, reachable)[-1].status == status
-
-
-def test_key_file_that_is_missing_is_a_warning(tmp_path):
-    env = {"APEX_LLM_BASE_URL": "http://h/v1", "APEX_LLM_API_KEY_FILE": str(tmp_path / "none")}
-    assert doctor.check_llm(env, reachable)[-1].status == WARN
+    key_file.chmod(0o644)
+    env = {"APEX_LLM_BASE_URL": "https://h/v1", "APEX_LLM_API_KEY_FILE": str(key_file)}
+    check = doctor.check_llm(env, reachable)[0]
+    assert check.status == FAIL
+    assert "chmod 600" in check.found
 
 
 def test_answers_tells_a_listening_port_from_a_closed_one():
@@ -154,17 +166,30 @@ def test_answers_tells_a_listening_port_from_a_closed_one():
 def test_settings_file_with_a_wrong_key_fails_and_names_it(tmp_path):
     path = tmp_path / "apex.toml"
     path.write_text("[camra]\ntype = 'live'\n")
-    checks = doctor.check_settings(str(path))
+    config, checks = doctor.read_settings(str(path))
+    assert config is None
     assert statuses(checks) == [FAIL]
     assert "camra" in checks[0].found
 
 
-def test_settings_file_that_names_a_missing_calibration_fails(tmp_path):
+def test_good_settings_file_is_ok_and_its_files_are_checked(tmp_path):
     path = tmp_path / "apex.toml"
     path.write_text("[camera]\ncalibration = 'nowhere.json'\n")
-    checks = doctor.check_settings(str(path))
-    assert checks[-1].status == FAIL
+    config, checks = doctor.read_settings(str(path))
+    assert statuses(checks) == [OK]
+    checks = doctor.check_files(config)
+    assert [(check.name, check.status) for check in checks] == [
+        ("colours", OK),
+        ("calibration", FAIL),
+    ]
     assert "nowhere.json" in checks[-1].found
+
+
+def test_settings_that_fail_make_the_exit_code_1(tmp_path, capsys):
+    path = tmp_path / "apex.toml"
+    path.write_text("[camera]\ncalibration = 'nowhere.json'\n")
+    assert doctor.run(SimpleNamespace(config=str(path), json=None)) == 1
+    assert "FAIL  calibration" in capsys.readouterr().out
 
 
 def test_machine_that_is_no_pi_says_nothing_of_throttling():
