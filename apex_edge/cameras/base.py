@@ -1,10 +1,12 @@
 """What every frame source has in common: the interface, its counters and the newest-wins slot."""
 
+import math
 import threading
+import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import ClassVar, Optional, Type, TypeVar
+from typing import Callable, ClassVar, Optional, Type, TypeVar
 
 from apex_edge.config import setting
 from apex_edge.types import Frame
@@ -111,12 +113,19 @@ class NewestSlot:
     """Hand the newest frame from one thread to another.
 
     A frame put while the last one is unread replaces it (counted as dropped); a frame is handed
-    out once. Both ends may wait and close at any time.
+    out once, and never when it is older than ``max_age_s`` (counted as stale). Both ends may wait
+    and close at any time.
     """
 
-    def __init__(self, stats: Optional[CameraStats] = None) -> None:
-        """Count into ``stats`` (its own when none is given)."""
+    def __init__(
+        self,
+        stats: Optional[CameraStats] = None,
+        max_age_s: float = math.inf,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Count into ``stats`` (its own when none is given); ``clock`` is the capture clock."""
         self.stats = stats if stats is not None else CameraStats()
+        self._max_age_s, self._clock = max_age_s, clock
         self._ready = threading.Condition()
         self._frame: Optional[Frame] = None
         self._is_closed = False
@@ -142,7 +151,7 @@ class NewestSlot:
     def get(self, timeout_s: float) -> Optional[Frame]:
         """Take the newest frame; None after waiting ``timeout_s``, or when closed and empty."""
         with self._ready:
-            self._ready.wait_for(lambda: self._frame is not None or self._is_closed, timeout_s)
+            self._ready.wait_for(lambda: self._has_fresh() or self._is_closed, timeout_s)
             frame, self._frame = self._frame, None
             if frame is not None:
                 self.stats.delivered += 1
@@ -153,3 +162,11 @@ class NewestSlot:
         with self._ready:
             self._is_closed = True
             self._ready.notify_all()
+
+    def _has_fresh(self) -> bool:
+        if self._frame is None:
+            return False
+        if is_stale(self._frame, self._clock(), self._max_age_s):
+            self.stats.stale += 1
+            self._frame = None
+        return self._frame is not None

@@ -1,0 +1,77 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import record_steps
+
+from apex_edge.cameras.calibration import load_camera, save_camera
+from apex_edge.errors import CalibrationError
+
+
+def test_calibration_comes_back_bit_for_bit(tmp_path):
+    camera = record_steps.camera_model()
+    save_camera(tmp_path / "c.json", camera, {"rms_px": 0.21})
+    back = load_camera(tmp_path / "c.json")
+    assert np.array_equal(back.table_from_cam, camera.table_from_cam)
+    assert np.array_equal(back.dist, camera.dist)
+    assert dataclasses.replace(back, dist=0, table_from_cam=0) == dataclasses.replace(
+        camera, dist=0, table_from_cam=0
+    )
+
+
+SKEWED = np.eye(4)
+SKEWED[0, 1] = 0.1
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"fx_px": float("nan")}, "focal"),
+        ({"fy_px": -1.0}, "focal"),
+        ({"cx_px": float("inf")}, "principal point"),
+        ({"dist": np.zeros(4)}, "dist"),
+        ({"width_px": 0}, "picture size"),
+        ({"table_from_cam": SKEWED}, "rigid"),
+        ({"table_from_cam": np.diag([1.0, 1.0, -1.0, 1.0])}, "rigid"),
+        ({"table_from_cam": np.eye(3)}, "4 x 4"),
+    ],
+)
+def test_unusable_camera_is_not_written(tmp_path, change, message):
+    camera = dataclasses.replace(record_steps.camera_model(), **change)
+    with pytest.raises(CalibrationError, match=message):
+        save_camera(tmp_path / "c.json", camera, {})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "not JSON"),
+        ("[1, 2]", "not a camera calibration"),
+        ('{"format": "apex-camera", "version": 7}', "version 7"),
+        ('{"format": "apex-camera", "version": 1, "camera": {}, "sha256": "0"}', "hash"),
+        ("[" * 100000, "not JSON"),
+    ],
+)
+def test_what_is_no_calibration_is_refused_with_the_reason(tmp_path, text, message):
+    (tmp_path / "c.json").write_text(text)
+    with pytest.raises(CalibrationError, match=message):
+        load_camera(tmp_path / "c.json")
+
+
+def test_missing_calibration_is_refused_by_name(tmp_path):
+    with pytest.raises(CalibrationError, match="gone.json"):
+        load_camera(tmp_path / "gone.json")
+
+
+def test_numbers_outside_their_range_are_refused_even_with_a_fitting_hash(tmp_path):
+    from apex_edge.cameras.calibration import _digest
+
+    save_camera(tmp_path / "c.json", record_steps.camera_model(), {})
+    document = json.loads((tmp_path / "c.json").read_text())
+    document["camera"]["dist"] = [0.0, "x"]
+    document["sha256"] = _digest(document["camera"])
+    (tmp_path / "c.json").write_text(json.dumps(document))
+    with pytest.raises(CalibrationError, match="camera"):
+        load_camera(tmp_path / "c.json")
