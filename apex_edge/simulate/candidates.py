@@ -51,7 +51,8 @@ def candidate_grid(
         raise ConfigError(f"candidates: n = {n}, expected at least 1")
     points = _closest_grid(arm, n, settings)
     side = np.abs(np.arctan2(points[:, 1], points[:, 0])).round(9)
-    kept = points[np.argsort(side, kind="stable")[:n]]
+    # equal sides go in pairs, left and right, so that the cut leaves the grid even
+    kept = points[np.lexsort((points[:, 1], np.abs(points[:, 1]).round(9), side))[:n]]
     reach = np.hypot(kept[:, 0], kept[:, 1]).round(9)
     kept = kept[np.lexsort((kept[:, 1], reach))]
     joints, hover, _ = _reachable(arm, kept, settings)
@@ -104,7 +105,8 @@ def _grid(arm: ArmModel, spacing_m: float, region: _Region, config: CandidatesCo
     near = (reach >= region.near_m) & (reach <= region.far_m)
     near &= (yaw >= region.low_rad) & (yaw <= region.high_rad)
     points = np.column_stack([x[near], y[near]])
-    return points[_reachable(arm, points, config)[2]]
+    reachable: Array = points[_reachable(arm, points, config)[2]]
+    return reachable
 
 
 def _reachable(

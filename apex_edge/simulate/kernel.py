@@ -8,6 +8,7 @@ few blockers near the path, in blocks of bounded size. The flags equal those of 
 Euler, see ``apex bench rollout``. Source: ours; the motion is APEX section "Limitations".
 """
 
+import math
 from dataclasses import dataclass
 from typing import Tuple
 
@@ -27,11 +28,13 @@ from apex_edge.types import Array
 
 # Doubles in one block of the curved test: 1 MB, which stays in a small processor's cache.
 _BLOCK = 131072
+_NEIGHBOURS = np.array([[-1], [0], [1]])
 
 
 @dataclass(frozen=True)
 class _Path:
-    """Positions at steps 0..n: ``xy (2, n + 1)``; ``came (2, n + 1)`` velocity that led there.
+    """Positions at steps 0..n: ``xy (2, n + 1)``; ``came (2, n + 1)`` velocity that led there
+    (``(2, 1)`` when it never changes).
 
     ``along (n + 1,)`` is the distance travelled in direction ``unit (2,)``, never falling; it has
     length 0 on a curved path.
@@ -50,20 +53,24 @@ class KernelSim(PhysicsSim):
         """Find what happens with each of n blockers; see ``PhysicsSim.outcomes``."""
         mover = _braked_path(problem)
         target = _steady_path(problem)
-        distance = np.hypot(*(mover.xy - target.xy))
+        distance = np.hypot(mover.xy[0] - target.xy[0], mover.xy[1] - target.xy[1])
         free_hit = _first(distance <= problem.contact_m + CONTACT_EPS_M)
         tips = np.ascontiguousarray(tip_xy_m.T)
         arrives = arrival_steps(arrival_s, problem)
         enter = _first_inside(mover, tips, np.zeros(len(arrives), dtype=np.int64), problem.block_m)
         blocked = enter.copy()
-        missed = np.flatnonzero(enter < arrives)  # came by before the arm: does it come again?
-        blocked[missed] = _first_inside(mover, tips[:, missed], arrives[missed], problem.block_m)
+        # It came by before the arm: is it still there, or does it come again?
+        missed = np.flatnonzero((enter < arrives) & (arrives <= problem.n_steps))
+        blocked[enter < arrives] = NEVER
+        if len(missed):
+            again = _first_inside(mover, tips[:, missed], arrives[missed], problem.block_m)
+            blocked[missed] = again
         blocked[blocked >= free_hit] = NEVER
         enter[enter >= free_hit] = NEVER
         end = np.minimum(np.minimum(blocked, free_hit), problem.n_steps)
         least, least_at = _running_minimum(distance)
         lands = np.minimum(arrives, end)
-        gap = np.hypot(*(mover.xy[:, lands] - tips)) - problem.block_m
+        gap = np.hypot(mover.xy[0, lands] - tips[0], mover.xy[1, lands] - tips[1])
         found = Outcomes(
             collision_step=np.where(blocked == NEVER, free_hit, NEVER),
             blocked_step=blocked,
@@ -71,7 +78,7 @@ class KernelSim(PhysicsSim):
             min_distance_m=least[end],
             min_step=least_at[end],
             final_distance_m=distance[end],
-            landing_gap_m=np.where(arrives == NEVER, np.inf, gap),
+            landing_gap_m=np.where(arrives == NEVER, np.inf, gap - problem.block_m),
             offset_ratio=_offset_ratio(mover, tips, blocked, problem.block_m),
             free_collision_step=free_hit,
         )
@@ -82,37 +89,38 @@ class KernelSim(PhysicsSim):
 
 def _braked_path(problem: RolloutProblem) -> _Path:
     """Evaluate the mover's Euler path in closed form: p0 + k v dt + k (k - 1) / 2 a dt^2."""
-    start = problem.mover_pos_m[:2].reshape(2, 1)
-    velocity = problem.mover_vel_m_s[:2].reshape(2, 1)
-    acceleration = problem.mover_acc_m_s2[:2].reshape(2, 1)
-    dt = problem.dt_s
+    x, y = (float(c) for c in problem.mover_pos_m[:2])
+    vx, vy = (float(c) for c in problem.mover_vel_m_s[:2])
+    ax, ay = (float(c) for c in problem.mover_acc_m_s2[:2])
+    dt, speed, push = problem.dt_s, math.hypot(vx, vy), math.hypot(ax, ay)
     step = np.arange(problem.n_steps + 1, dtype=np.float64)
-    forward = float((acceleration * velocity).sum())
-    speed2 = float((velocity * velocity).sum())
-    stop = float(problem.n_steps + 1)
+    forward = ax * vx + ay * vy
     if forward < 0.0:
-        stop = min(stop, np.ceil((1.0 - STOP_RATIO) * speed2 / (-forward * dt)))
-    moving = np.minimum(step, stop)
-    travelled = velocity * (moving * dt) + acceleration * (dt * dt * moving * (moving - 1.0) / 2.0)
-    came = velocity + acceleration * (np.maximum(moving - 1.0, 0.0) * dt)
-    lead = velocity if speed2 > 0.0 else acceleration
-    length = float(np.hypot(lead[0, 0], lead[1, 0]))
-    unit = lead[:, 0] / length if length > 0.0 else np.array([1.0, 0.0])
-    bend = abs(float(unit[0] * acceleration[1, 0] - unit[1] * acceleration[0, 0]))
-    is_straight = bend <= 1e-12 * float(np.hypot(acceleration[0, 0], acceleration[1, 0]))
-    along = np.maximum.accumulate(unit @ travelled) if is_straight else np.empty(0)
-    return _Path(start + travelled, came, along, unit)
+        step = np.minimum(step, math.ceil((1.0 - STOP_RATIO) * speed * speed / (-forward * dt)))
+    time_s = step * dt
+    lag = step * (step - 1.0) * (0.5 * dt * dt)
+    before_s = np.maximum(time_s - dt, 0.0)
+    lead = (vx, vy, speed) if speed > 0.0 else (ax, ay, push)
+    ux, uy = (lead[0] / lead[2], lead[1] / lead[2]) if lead[2] > 0.0 else (1.0, 0.0)
+    along = np.empty(0)
+    if abs(ux * ay - uy * ax) <= 1e-12 * push:
+        along = np.maximum.accumulate(speed * time_s + (ux * ax + uy * ay) * lag)
+    return _Path(
+        np.array([x + vx * time_s + ax * lag, y + vy * time_s + ay * lag]),
+        np.array([vx + ax * before_s, vy + ay * before_s]),
+        along,
+        np.array([ux, uy]),
+    )
 
 
 def _steady_path(problem: RolloutProblem) -> _Path:
     """Evaluate the target's path at constant velocity."""
+    start = problem.target_pos_m[:2].reshape(2, 1)
     velocity = problem.target_vel_m_s[:2].reshape(2, 1)
-    travelled = velocity * (np.arange(problem.n_steps + 1, dtype=np.float64) * problem.dt_s)
     length = float(np.hypot(velocity[0, 0], velocity[1, 0]))
     unit = velocity[:, 0] / length if length > 0.0 else np.array([1.0, 0.0])
-    along = np.maximum.accumulate(unit @ travelled)
-    came = np.broadcast_to(velocity, travelled.shape)
-    return _Path(problem.target_pos_m[:2].reshape(2, 1) + travelled, came, along, unit)
+    time_s = np.arange(problem.n_steps + 1, dtype=np.float64) * problem.dt_s
+    return _Path(start + velocity * time_s, velocity, length * time_s, unit)
 
 
 def _first(flags: Array) -> int:
@@ -151,14 +159,12 @@ def _first_inside_straight(path: _Path, centres: Array, start: Array, radius_m: 
     entry = path.unit @ offset[:, near] - half
     guess = np.searchsorted(path.along, entry)
     last = path.xy.shape[1] - 1
-    found = steps[near]
     # Once past, a straight path never comes back: a later start needs only its own step tested.
-    for shift in (1, 0, -1):
-        step = np.maximum(guess + shift, start[near])
-        gap = path.xy[:, np.minimum(step, last)] - centres[:, near]
-        is_inside = (step <= last) & ((gap * gap).sum(axis=0) <= radius_m * radius_m)
-        found = np.where(is_inside, step, found)
-    steps[near] = found
+    step = np.maximum(guess + _NEIGHBOURS, start[near])
+    held = np.minimum(step, last)
+    gap_x, gap_y = path.xy[0, held] - centres[0, near], path.xy[1, held] - centres[1, near]
+    is_inside = (step <= last) & (gap_x * gap_x + gap_y * gap_y <= radius_m * radius_m)
+    steps[near] = np.where(is_inside, step, NEVER).min(axis=0)
     return steps
 
 

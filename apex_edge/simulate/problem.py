@@ -5,6 +5,7 @@ path is forward Euler as the paper writes it, ``pos += v dt`` then ``v += a dt``
 brakes stops for good at the first step at which its velocity no longer points forward.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import List, Tuple
 
@@ -107,8 +108,12 @@ class RolloutProblem:
             "obstacle_pos_m": (n_obstacles, 3),
             "obstacle_radius_m": (n_obstacles,),
         }
-        for name, shape in shapes.items():
-            check_array(name, getattr(self, name), shape)
+        arrays = [np.asarray(getattr(self, name)) for name in shapes]
+        is_right = all(a.shape == shape for a, shape in zip(arrays, shapes.values()))
+        # one test for all: this runs for every frame and every pessimistic path
+        if not is_right or not np.isfinite(np.concatenate([a.ravel() for a in arrays])).all():
+            for name, shape in shapes.items():
+                check_array(name, getattr(self, name), shape)
         for name in ("mover_radius_m", "target_radius_m", "tip_radius_m", "horizon_s", "dt_s"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(f"roll-out: {name} = {getattr(self, name)!r}, expected > 0")
@@ -251,23 +256,21 @@ def hypotheses(problem: RolloutProblem) -> List[RolloutProblem]:
     and at the time of closest approach, as the covariance carries it forward. The same braking
     acts along each path. Empty when the mover does not move or nothing is uncertain. Source: ours.
     """
-    velocity = problem.mover_vel_m_s[:2]
-    speed = float(np.hypot(velocity[0], velocity[1]))
+    vx, vy = (float(v) for v in problem.mover_vel_m_s[:2])
+    speed = math.hypot(vx, vy)
     if speed < 1e-3 or problem.n_sigma == 0.0:
         return []
-    along = velocity / speed
-    side = np.array([-along[1], along[0]])
-    planar = problem.mover_cov[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])]
+    ux, uy = vx / speed, vy / speed
     look_s = _closest_approach_s(problem)
-    now = problem.n_sigma * _sd(planar, side, 0.0)
-    then = problem.n_sigma * _sd(planar, side, look_s)
-    fast = problem.n_sigma * float(np.sqrt(max(along @ planar[2:, 2:] @ along, 0.0)))
-    variants = [
-        _moved(problem, sign * now * side, velocity + sign * (then - now) / look_s * side)
-        for sign in (-1.0, 1.0)
+    now = problem.n_sigma * _sd(problem, -uy, ux, (1.0, 0.0))
+    then = problem.n_sigma * _sd(problem, -uy, ux, (1.0, look_s))
+    fast = problem.n_sigma * _sd(problem, ux, uy, (0.0, 1.0))
+    turn = (then - now) / look_s
+    return [
+        _moved(problem, (now * uy, -now * ux), (vx + turn * uy, vy - turn * ux)),
+        _moved(problem, (-now * uy, now * ux), (vx - turn * uy, vy + turn * ux)),
+        _moved(problem, (0.0, 0.0), (vx + fast * ux, vy + fast * uy)),
     ]
-    variants.append(_moved(problem, np.zeros(2), velocity + fast * along))
-    return variants
 
 
 def _row(tracks: Tracks, track_id: int, role: str) -> int:
@@ -302,27 +305,31 @@ def _believed(acceleration: Array, velocity: Array, how_much: str) -> Array:
 
 
 def _closest_approach_s(problem: RolloutProblem) -> float:
-    offset = (problem.target_pos_m - problem.mover_pos_m)[:2]
-    rate = (problem.mover_vel_m_s - problem.target_vel_m_s)[:2]
-    closing2 = max(float(rate @ rate), 1e-12)
-    low_s = min(0.2, problem.horizon_s)
-    return min(max(float(offset @ rate) / closing2, low_s), problem.horizon_s)
+    x, y, _ = (float(v) for v in problem.target_pos_m - problem.mover_pos_m)
+    vx, vy, _ = (float(v) for v in problem.mover_vel_m_s - problem.target_vel_m_s)
+    nearest_s = (x * vx + y * vy) / max(vx * vx + vy * vy, 1e-12)
+    return min(max(nearest_s, min(0.2, problem.horizon_s)), problem.horizon_s)
 
 
-def _sd(planar: Array, axis: Array, ahead_s: float) -> float:
-    """Return the standard deviation along ``axis`` (2,) of the position ``ahead_s`` from now."""
-    row = np.concatenate([axis, axis * ahead_s])
-    return float(np.sqrt(max(row @ planar @ row, 0.0)))
+def _sd(problem: RolloutProblem, x: float, y: float, weight: Tuple[float, float]) -> float:
+    """Return the sd, along the unit vector (x, y), of weight[0] position + weight[1] velocity."""
+    p, v = weight
+    row = np.array([p * x, p * y, 0.0, v * x, v * y, 0.0])
+    return math.sqrt(max(float(row @ problem.mover_cov @ row), 0.0))
 
 
-def _moved(problem: RolloutProblem, shift: Array, velocity: Array) -> RolloutProblem:
-    """Return the problem on another path: shift (2,), velocity (2,), the same braking along it."""
-    old, new = problem.mover_vel_m_s[:2], velocity
-    rate = float(problem.mover_acc_m_s2[:2] @ old) / float(old @ old) * np.hypot(old[0], old[1])
-    unit = new / max(float(np.hypot(new[0], new[1])), TINY_M_S)
+def _moved(
+    problem: RolloutProblem, shift_m: Tuple[float, float], velocity_m_s: Tuple[float, float]
+) -> RolloutProblem:
+    """Return the problem on another path, with the same braking along it."""
+    old_x, old_y, _ = (float(v) for v in problem.mover_vel_m_s)
+    ax, ay, _ = (float(v) for v in problem.mover_acc_m_s2)
+    vx, vy = velocity_m_s
+    rate = (ax * old_x + ay * old_y) / math.hypot(old_x, old_y)
+    share = rate / max(math.hypot(vx, vy), TINY_M_S)
     return replace(
         problem,
-        mover_pos_m=problem.mover_pos_m + np.append(shift, 0.0),
-        mover_vel_m_s=np.append(new, 0.0),
-        mover_acc_m_s2=np.append(rate * unit, 0.0),
+        mover_pos_m=problem.mover_pos_m + np.array([shift_m[0], shift_m[1], 0.0]),
+        mover_vel_m_s=np.array([vx, vy, 0.0]),
+        mover_acc_m_s2=np.array([share * vx, share * vy, 0.0]),
     )

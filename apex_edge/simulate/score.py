@@ -120,7 +120,8 @@ def clearance_m(problem: RolloutProblem, tips_m: Array, arrival_s: Array, found:
     for place, radius in zip(problem.obstacle_pos_m, problem.obstacle_radius_m):
         away = np.hypot(tips_m[:, 0] - place[0], tips_m[:, 1] - place[1])
         gap = np.minimum(gap, away - radius - problem.tip_radius_m)
-    return gap
+    result: Array = gap
+    return result
 
 
 def safe(problem: RolloutProblem, found: Outcomes, slack: Array, clearance: Array) -> Array:
@@ -182,17 +183,17 @@ def _times_s(step: Array, problem: RolloutProblem) -> Array:
 
 def _spread_best(tips_m: Array, score: Array) -> Array:
     """Return up to N_BEST indices of finite scores, best first, apart where there is a choice."""
-    left = score.copy()
+    rows = np.flatnonzero(score > -np.inf)
+    rows = rows[np.argsort(-score[rows], kind="stable")]
+    x, y = tips_m[rows, 0], tips_m[rows, 1]
+    is_apart = np.ones(len(rows), dtype=bool)
     chosen: List[int] = []
-    for _ in range(min(N_BEST, int(np.isfinite(score).sum()))):
-        best = int(np.argmax(left))
-        if left[best] == -np.inf:  # nothing far enough is left: fill up with the next best
-            left = score.copy()
-            left[chosen] = -np.inf
-            best = int(np.argmax(left))
-        chosen.append(best)
-        gap = np.hypot(tips_m[:, 0] - tips_m[best, 0], tips_m[:, 1] - tips_m[best, 1])
-        left[gap < BEST_SPACING_M] = -np.inf
-        left[best] = -np.inf
-    # best first again: a filled-up one may beat a far one
-    return np.array(sorted(chosen, key=lambda i: (-score[i], i)), dtype=np.int64)
+    while len(chosen) < N_BEST and is_apart.any():
+        place = int(np.argmax(is_apart))
+        chosen.append(place)
+        is_apart &= np.hypot(x - x[place], y - y[place]) >= BEST_SPACING_M
+        is_apart[place] = False
+    rest = [place for place in range(min(N_BEST, len(rows))) if place not in chosen]
+    chosen += rest[: N_BEST - len(chosen)]  # too few are apart: fill up with the next best
+    best: Array = rows[np.sort(np.array(chosen, dtype=np.int64))]
+    return best
