@@ -125,6 +125,9 @@ class Decider:
     def _watch(self, now: Situation) -> Decision:
         if now.t_s - self._last_alarm_s > self._config.clear_s:
             return self._close(now)
+        if self._does_post_serve(now):
+            self.phase = Phase.STANDING
+            return self._decision(now, "hold", reason="the post also stops this one")
         verdict = self._judge(now)
         if verdict == "accepted":
             assert now.proposal is not None
@@ -136,6 +139,13 @@ class Decider:
         if now.hazard is not None and (self._config.mode == REFLEX_FIRST or is_due):
             return self._go(now, int(now.rollouts.best[0]), "reflex", verdict)
         return self._decision(now, "watch", verdict=verdict, reason="waiting for the deadline")
+
+    def _does_post_serve(self, now: Situation) -> bool:
+        """Say whether an arm that already stands somewhere stops the mover from there."""
+        if self.index < 0 or now.rollouts is None:
+            return False
+        is_stopped = now.rollouts.is_blocked[self.index] and not now.rollouts.is_collision[self.index]
+        return bool(is_stopped)
 
     def _close(self, now: Situation) -> Decision:
         """End a watch whose alarm went away; an arm that still stands guard keeps standing."""
@@ -165,8 +175,7 @@ class Decider:
         if now.hazard is None or rollouts is None or now.mover_gap_m < 0.008:
             self._n_faults = 0
             return False
-        is_fault = not rollouts.is_blocked[self.index] or rollouts.is_collision[self.index]
-        self._n_faults = self._n_faults + 1 if is_fault else 0
+        self._n_faults = 0 if self._does_post_serve(now) else self._n_faults + 1
         has_better = len(rollouts.best) > 0 and int(rollouts.best[0]) != self.index
         return self._n_faults >= self._config.n_confirm and has_better
 

@@ -191,14 +191,17 @@ def test_the_arm_returns_once_the_table_has_been_quiet() -> None:
     assert actions[-1] == "none"
 
 
-def test_a_second_mover_opens_a_new_watch_and_redirects() -> None:
+@pytest.mark.parametrize(("serves", "action"), [(True, "hold"), (False, "redirect")])
+def test_a_second_mover_moves_the_arm_only_when_its_post_does_not_stop_that_one_too(
+    serves: bool, action: str
+) -> None:
     decider = Decider(DecideConfig())
     decider.step(situation(0, rollouts=make_rollouts([1, 1], [1.0, 0.5])))
     other = OpenHazard(mover_id=5, target_id=2, ttc_s=2.0, ttc_early_s=1.8)
-    decision = decider.step(
-        situation(1, hazard=other, rollouts=make_rollouts([1, 1], [0.5, 1.0], 1))
-    )
-    assert (decision.action, decision.index, decision.mover_id) == ("redirect", 1, 5)
+    rollouts = make_rollouts([1, 1], [0.5, 1.0], 1, is_safe=[serves, True])
+    decision = decider.step(situation(1, hazard=other, rollouts=rollouts))
+    assert (decision.action, decision.mover_id) == (action, 5)
+    assert decision.index == (0 if serves else 1)
 
 
 @given(

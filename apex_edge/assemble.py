@@ -1,0 +1,129 @@
+"""Build an agent from settings: the one place that knows every stage by name."""
+
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Callable, Dict, Optional, Tuple, Union
+
+from apex_edge import config as settings
+from apex_edge import plugins
+from apex_edge.act import Actuator
+from apex_edge.agent import Agent, AgentConfig, Parts
+from apex_edge.cameras.base import CameraConfig
+from apex_edge.cameras.twin import TwinConfig
+from apex_edge.config import setting
+from apex_edge.decide import DecideConfig, Decider
+from apex_edge.perception import ColourTable, Perception, PerceptionConfig
+from apex_edge.planners.base import Planner, PlannerConfig
+from apex_edge.simulate.base import PhysicsSim, SimulateConfig
+from apex_edge.simulate.candidates import candidate_grid
+from apex_edge.triggers.base import Trigger, TriggerConfig
+from apex_edge.types import Candidates
+from firmware_bridge.kinematics import ArmModel
+
+
+@dataclass(frozen=True)
+class ArmConfig:
+    """Section ``[arm]``: which arm, on which port."""
+
+    type: str = setting("armpi-mini", "arm data file shipped with the bridge, or a path to one")
+    port: str = setting("", 'serial port or URL; "sim" a simulated board; empty: watch only')
+
+
+@dataclass(frozen=True)
+class ColoursConfig:
+    """Section ``[colours]``: what the objects look like."""
+
+    files: Tuple[str, ...] = setting((), "colour files of `apex calibrate colour`; none: the twin's")
+
+
+@dataclass(frozen=True)
+class ApexConfig:
+    """The whole settings file, a section each."""
+
+    agent: AgentConfig = field(default_factory=AgentConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    twin: TwinConfig = field(default_factory=TwinConfig)
+    colours: ColoursConfig = field(default_factory=ColoursConfig)
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    trigger: TriggerConfig = field(default_factory=TriggerConfig)
+    simulate: SimulateConfig = field(default_factory=SimulateConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    decide: DecideConfig = field(default_factory=DecideConfig)
+    arm: ArmConfig = field(default_factory=ArmConfig)
+
+
+def load_config(path: Union[str, Path, None]) -> ApexConfig:
+    """Read a settings file; None gives all defaults.
+
+    Raises
+    ------
+    ConfigError : unreadable file, unknown section or key, wrong type, value out of range.
+    """
+    if path is None:
+        return ApexConfig()
+    return settings.structure(ApexConfig, settings.read_toml(path), str(path))
+
+
+def with_mode(config: ApexConfig, mode: str) -> ApexConfig:
+    """Return the same settings with another decision mode."""
+    return replace(config, decide=replace(config.decide, mode=mode))
+
+
+def load_colours(config: ColoursConfig) -> ColourTable:
+    """Load the colour files, or the twin's colours when none is named."""
+    if not config.files:
+        return ColourTable.builtin()
+    return ColourTable.load(*config.files)
+
+
+@dataclass(frozen=True)
+class Kit:
+    """What every run of one settings file shares: arm data, candidates, colours."""
+
+    config: ApexConfig
+    arm: ArmModel
+    candidates: Candidates
+    colours: ColourTable
+
+    @classmethod
+    def from_config(cls, config: ApexConfig) -> "Kit":
+        """Load arm data and colours and lay the grid of candidates."""
+        arm = ArmModel.load(config.arm.type)
+        laid = config.simulate
+        grid = candidate_grid(arm, laid.n_candidates, config=laid.candidates)
+        return cls(config, arm, grid, load_colours(config.colours))
+
+    def agent(
+        self,
+        clock: Callable[[], float],
+        planner: Planner,
+        actuator: Optional[Actuator] = None,
+    ) -> Agent:
+        """Wire a fresh agent; it shares nothing that changes with another one."""
+        config = self.config
+        trigger: Trigger = plugins.load("triggers", config.trigger.type)(config.trigger)
+        simulator: PhysicsSim = plugins.load("simulators", config.simulate.type)()
+        parts = Parts(
+            perception=Perception(config.perception, self.colours),
+            trigger=trigger,
+            simulator=simulator,
+            simulate=config.simulate,
+            decider=Decider(config.decide),
+            planner=planner,
+            candidates=self.candidates,
+            tip_radius_m=self.arm.tip_radius_m,
+            mode=config.decide.mode,
+            actuator=actuator,
+        )
+        return Agent(config.agent, parts, clock)
+
+
+def as_plain(config: ApexConfig) -> Dict[str, Dict[str, Any]]:
+    """Return the settings as plain values, for the head of a recording; holds no secret."""
+    return {
+        section.name: {
+            key.name: getattr(getattr(config, section.name), key.name)
+            for key in fields(getattr(config, section.name))
+        }
+        for section in fields(config)
+    }
