@@ -5,20 +5,25 @@ until no more than ``MAX_FALSE`` of the background is taken for it. What is left
 recall on the object, false positives on the background. Source: ours.
 """
 
+import itertools
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 
 from apex_edge.errors import ColourError
-from apex_edge.perception.colour import (
+from apex_edge.perception.colour_model import (
     GATE_999,
+    LUMA_SD,
+    N_WORDS,
     ColourModel,
-    ColourTable,
     distance2,
     features,
+    label_table,
     model_from,
+    word_features,
+    words,
 )
 from apex_edge.types import Array
 
@@ -29,8 +34,18 @@ MAX_FOREIGN, REFUSED_FOREIGN = 0.15, 0.45
 MIN_RADIUS_PX = 2.0
 ZONE = 4.0  # the object is what hangs together with the disc within this many disc radii
 _GATES = (GATE_999, 11.34, 7.81, 6.25)  # 99.9, 99, 95, 90 %
-_FLOORS = (0.5, 0.6, 0.7)
+# From tolerant to strict. Motion blur washes a colour out, so the highest floor comes last.
+_WIDTHS = tuple(itertools.product((LUMA_SD, 0.3, 0.2), _GATES, (0.5, 0.6, 0.7))) + tuple(
+    itertools.product((LUMA_SD, 0.3, 0.2), _GATES, (0.8,))
+)
 _CORE_SHARE = 0.6  # of a disc's pixels taken as surely the object's while fitting
+
+
+class _Ground(NamedTuple):
+    """A picture's words (h, w) and which of its pixels count as background."""
+
+    words: Array
+    is_counted: Array
 
 
 @dataclass(frozen=True)
@@ -109,21 +124,22 @@ def solve(
     names = tuple(dict.fromkeys(sample.name for sample in samples))
     discs = {name: _disc_mask(picture.shape, samples, name) for name in names}
     ring = {name: _disc_mask(picture.shape, samples, name, ZONE) for name in names}
-    cores = {name: _robust_core(name, features(picture[discs[name]])) for name in names}
     rest = ~np.logical_or.reduce([ring[name] for name in names])
-    ground = features(picture[rest])
+    grounds = [_Ground(words(picture), rest)]
     if background is not None:
-        ground = np.vstack([ground, features(background.reshape(-1, 3))])
-    models = tuple(_narrow(cores[name][0], cores[name][1], ground) for name in names)
-    table = ColourTable(models)
-    labels = table.classify(picture)
-    grounds = [picture[rest]] + ([] if background is None else [background.reshape(-1, 3)])
-    found = np.concatenate([table.classify(g.reshape(1, -1, 3)).ravel() for g in grounds])
+        grounds.append(_Ground(words(background), np.ones(background.shape[:2], dtype=bool)))
+    models, own = [], {}
+    for name in names:
+        model, own[name], luma_sd = _robust_core(name, features(picture[discs[name]]))
+        models.append(_narrow(model, grounds[0].words[discs[name]][own[name]], luma_sd, grounds))
+    table = label_table(models)
+    labels: Array = table[grounds[0].words]
+    found = np.concatenate([table[ground.words[ground.is_counted]] for ground in grounds])
     quality = tuple(
-        _judge(index + 1, names, labels, found, (discs[name], ring[name], cores[name][2]))
+        _judge(index + 1, names, labels, found, (discs[name], ring[name], own[name]))
         for index, name in enumerate(names)
     )
-    return ColourResult(models, quality, labels)
+    return ColourResult(tuple(models), quality, labels)
 
 
 def _check(sample: Sample, shape: Tuple[int, ...]) -> None:
@@ -152,8 +168,8 @@ def _disc_mask(
     return mask
 
 
-def _robust_core(name: str, points: Array) -> Tuple[ColourModel, Array, Array]:
-    """Return a model, the points it was fitted to and a mask (n,) of which those are.
+def _robust_core(name: str, points: Array) -> Tuple[ColourModel, Array, float]:
+    """Return a model, the mask (n,) of the pixels that are of it, and their log brightness sd.
 
     Starts at the median and keeps refitting to the closest 60 %, so that a highlight or a disc
     drawn a little too large does not shift the colour.
@@ -173,26 +189,41 @@ def _robust_core(name: str, points: Array) -> Tuple[ColourModel, Array, Array]:
     if own.sum() >= 3:
         model = model_from(name, points[own])
         own = distance2(model, points)[0] <= GATE_999
-    return model, points[own], own
+    return model, own, float(points[own, 2].std()) if own.any() else 0.0
 
 
-def _narrow(model: ColourModel, own: Array, ground: Array) -> ColourModel:
-    """Return the model with the widest gate that keeps the background out, or the best there is."""
+def _narrow(
+    model: ColourModel, own: Array, luma_sd: float, grounds: Sequence[_Ground]
+) -> ColourModel:
+    """Return the widest model that keeps the background out, or the best compromise there is.
+
+    Widths are tried from the most tolerant on: acceptance gate, saturation floor, and how far
+    the brightness may be off.
+    """
+    n_ground = max(1, sum(int(ground.is_counted.sum()) for ground in grounds))
+    own_words = np.bincount(own, minlength=N_WORDS) / float(len(own))
     best, best_loss = model, np.inf
-    own_dist = distance2(replace(model, floor=0.0), own)[0]
-    ground_dist = distance2(replace(model, floor=0.0), ground)[0]
-    chroma = np.asarray(model.chroma)
-    along = chroma / float(chroma @ chroma)
-    own_saturation, ground_saturation = own[:, :2] @ along, ground[:, :2] @ along
-    for gate in _GATES:
-        for floor in _FLOORS:
-            missed = 1.0 - np.mean((own_dist <= gate) & (own_saturation >= floor))
-            is_false = (ground_dist <= gate) & (ground_saturation >= floor)
-            false = float(np.mean(is_false)) if len(ground) else 0.0
-            loss = max(0.0, false - 0.5 * MAX_FALSE) * 100.0 + max(0.0, missed - 0.01)
-            if loss < best_loss:
-                best, best_loss = replace(model, gate=gate, floor=floor), loss
+    for extra_sd, gate, floor in _WIDTHS:
+        wide = replace(model, log_luma_sd=float(np.hypot(luma_sd, extra_sd)))
+        trial = replace(wide, gate=gate, floor=floor)
+        accepted = distance2(trial, word_features())[0] <= gate
+        missed = 1.0 - float(own_words[accepted].sum())
+        counts = np.sum([_false(accepted, ground) for ground in grounds], axis=0)
+        false, blobs = counts / n_ground
+        loss = 100.0 * max(0.0, false - 0.5 * MAX_FALSE) + max(0.0, missed - 0.01)
+        loss += 300.0 * blobs
+        if loss < best_loss:
+            best, best_loss = trial, loss
+        if best_loss <= 0.0:
+            break
     return best
+
+
+def _false(accepted: Array, ground: _Ground) -> Tuple[int, int]:
+    """Return how many background pixels are taken, and how many of them hang together."""
+    found = accepted[ground.words] & ground.is_counted
+    solid = cv2.medianBlur(found.view(np.uint8), 5)
+    return int(found.sum()), int(cv2.countNonZero(solid))
 
 
 def _judge(

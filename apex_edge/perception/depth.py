@@ -7,7 +7,7 @@ the table gets its centre from the surface distance along the ray instead. Sourc
 paper's code has one pixel-per-centimetre constant and no depth).
 """
 
-from typing import NamedTuple, Optional
+from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from apex_edge.perception.settings import PerceptionConfig
 from apex_edge.types import Array, CameraModel
 
 _SATURATED = 65535
-_MAX_POINTS = 400
+_MAX_POINTS = 250
 _MIN_POINTS = 12
-_TOP_PERCENTILE = 80.0  # inside a block's top face without its noise tail; 0.94 of a ball's height
+_LOW = 0.05
+_TOP = 0.80  # inside a block's top face without its noise tail; 0.94 of a ball's height
 _ANGLES = np.deg2rad(np.arange(0.0, 180.0, 15.0))
 _DIRECTIONS = np.vstack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_EXTENT = 0.96  # of a side lies between the 3rd and 97th percentile
 _CENTRE_DEPTH = 0.75  # centre lies this many radii behind a ball's median surface
 
 
@@ -44,10 +46,11 @@ class Surface(NamedTuple):
 NOWHERE = Placed(np.full(3, np.nan), float("nan"), float("nan"))
 
 
-def surface(blob: Blob, depth_mm: Array, camera: CameraModel) -> Surface:
-    """Return the blob's visible surface, without its rim, holes (0) and saturated values.
+def surface(blob: Blob, depth_mm: Array, camera: CameraModel) -> Tuple[Surface, Array]:
+    """Return the blob's visible surface and the viewing ray (3,) through its centroid.
 
-    Points far from the median depth (mixed pixels, something in front) are left out.
+    The rim, holes (0) and saturated values are left out, and so are points far from the median
+    depth (mixed pixels, something in front).
     """
     rows, columns = np.nonzero(blob.core)
     if len(rows) > _MAX_POINTS:
@@ -58,64 +61,74 @@ def surface(blob: Blob, depth_mm: Array, camera: CameraModel) -> Surface:
     raw = depth_mm[rows, columns]
     valid = (raw > 0) & (raw < _SATURATED)
     depth = raw[valid].astype(np.float64) / 1000.0
-    if not len(depth):
-        return Surface(np.empty((0, 3)), depth, 0.0)
-    middle = np.median(depth)
-    reach = 1.5 * max(blob.box_px[2], blob.box_px[3]) * middle / camera.fx_px
-    near = np.abs(depth - middle) <= reach
-    depth = depth[near]
-    pixels = np.column_stack([columns[valid][near], rows[valid][near]])
-    points = camera.table_from_cam[:3, 3] + depth[:, None] * geometry.rays(camera, pixels)
-    return Surface(points, depth, len(depth) / max(1, n_seen))
+    near = np.ones(len(depth), dtype=bool)
+    if len(depth):
+        middle = _median(depth)
+        reach = 1.5 * max(blob.box_px[2], blob.box_px[3]) * middle / camera.fx_px
+        near = np.abs(depth - middle) <= reach
+        depth = depth[near]
+    pixels = np.empty((len(depth) + 1, 2))
+    pixels[0] = blob.centre_px
+    pixels[1:, 0], pixels[1:, 1] = columns[valid][near], rows[valid][near]
+    rays = geometry.rays(camera, pixels)
+    points = camera.table_from_cam[:3, 3] + depth[:, None] * rays[1:]
+    return Surface(points, depth, len(depth) / max(1, n_seen)), rays[0]
 
 
 def place(
     blob: Blob, depth_mm: Optional[Array], camera: CameraModel, config: PerceptionConfig
 ) -> Placed:
     """Return where the blob's object stands; NaN where nothing can be said."""
-    ray = geometry.rays(camera, np.array([blob.centre_px]))[0]
-    if depth_mm is not None:
-        seen = surface(blob, depth_mm, camera)
-        if seen.valid_share >= config.min_depth_share and len(seen.depth_m) >= _MIN_POINTS:
-            placed = _from_depth(blob, seen, ray, camera, config)
-            if placed is not None:
-                return placed
+    if depth_mm is None:
+        ray = geometry.rays(camera, np.array([blob.centre_px]))[0]
+        return _from_plane(blob, ray, camera, config)
+    seen, ray = surface(blob, depth_mm, camera)
+    if seen.valid_share >= config.min_depth_share and len(seen.depth_m) >= _MIN_POINTS:
+        placed = _from_depth(seen, ray, camera, config)
+        if placed is not None:
+            return placed
     return _from_plane(blob, ray, camera, config)
 
 
 def _from_depth(
-    blob: Blob, seen: Surface, ray: Array, camera: CameraModel, config: PerceptionConfig
+    seen: Surface, ray: Array, camera: CameraModel, config: PerceptionConfig
 ) -> Optional[Placed]:
     eye = camera.table_from_cam[:3, 3]
-    middle = float(np.median(seen.depth_m))
+    n = len(seen.depth_m)
+    middle = _median(seen.depth_m)
     pixel_m = middle / camera.fx_px
     radius = _half_extent(seen.points_m[:, :2]) + pixel_m
     if not radius <= config.max_radius_m:
         return None
-    low, top = np.percentile(seen.points_m[:, 2], [5.0, _TOP_PERCENTILE])
-    centre_z = 0.5 * top
+    heights = np.sort(seen.points_m[:, 2])
+    low, top = float(heights[int(_LOW * n)]), float(heights[int(_TOP * n)])
     # A ball's outline reaches down to 0.4 radii above the table, a block's to the table itself.
     is_standing = ray[2] < -0.2 and top > 0.2 * radius and low < 0.75 * top
-    reach = (centre_z - eye[2]) / ray[2] if is_standing else middle + _CENTRE_DEPTH * radius
-    spread = 1.4826 * float(np.median(np.abs(seen.depth_m - middle)))
-    sd = np.hypot(config.noise_px * pixel_m, spread / np.sqrt(len(seen.depth_m)))
+    reach = (0.5 * top - eye[2]) / ray[2] if is_standing else middle + _CENTRE_DEPTH * radius
+    spread = 1.4826 * _median(np.abs(seen.depth_m - middle))
+    sd = float(np.hypot(config.noise_px * pixel_m, spread / np.sqrt(n)))
     bias = config.bias_m if is_standing else max(config.bias_m, 0.3 * radius)
     return Placed(eye + reach * ray, float(np.hypot(sd, bias)), radius)
+
+
+def _median(values: Array) -> float:
+    """Return the upper median (np.median costs ten times as much on a few hundred values)."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
 def _half_extent(points: Array) -> float:
     """Return the half side of the smallest box about (n, 2) points, any yaw, without outliers."""
     along = points @ _DIRECTIONS
-    low, high = np.percentile(along, [4.0, 96.0], axis=0)
-    sides = (high - low) / 0.96
+    n = len(points)
+    first, last = int(0.03 * n), n - 1 - int(0.03 * n)
+    ordered = np.partition(along, (first, last), axis=0)
+    sides = (ordered[last] - ordered[first]) / _EXTENT
     half = len(_ANGLES) // 2
     best = int(np.argmin(sides[:half] * sides[half:]))
     return 0.25 * float(sides[best] + sides[best + half])
 
 
-def _from_plane(
-    blob: Blob, ray: Array, camera: CameraModel, config: PerceptionConfig
-) -> Placed:
+def _from_plane(blob: Blob, ray: Array, camera: CameraModel, config: PerceptionConfig) -> Placed:
     eye = camera.table_from_cam[:3, 3]
     if ray[2] > -1e-3:
         return NOWHERE

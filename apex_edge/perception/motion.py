@@ -10,8 +10,10 @@ against 606 for the paper's two windows of five; 5 % outliers 2.0 against 34. So
 mean of the last five positions (``smooth``) is APEX's "five-frame sliding window".
 """
 
+import math
 from collections import deque
-from typing import Deque, List, NamedTuple, Optional
+from statistics import median
+from typing import Deque, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
@@ -21,7 +23,7 @@ PAPER_WINDOW = 5
 _GATE_SHARE = {1: 1.0, 2: 1.21, 3: 1.38}  # same probability as one axis at 4 sigma
 _CURVED = {1: 9.0, 2: 11.8, 3: 14.2}  # chi-square of curvature that one in 370 lines reaches
 _PRIOR_DOF = 4.0  # weight of the stated noise against the residuals
-_N_NOISE = 15
+_MIN_NOISE, _N_NOISE = 8, 15
 _MAX_NOISE_RATIO = 4.0
 
 
@@ -75,7 +77,10 @@ class MotionEstimator:
         self._waiting: List[Sample] = []
         self._recent: Deque[Sample] = deque(maxlen=PAPER_WINDOW)
         self._noise: Deque[float] = deque(maxlen=_N_NOISE)
+        self._shown_sd = 0.0
         self._fit: Optional[Fit] = None
+        self._state: Optional[Motion] = None
+        self._state_t_s = 0.0
         self._n_since_manoeuvre = 1 << 30
 
     @property
@@ -95,7 +100,7 @@ class MotionEstimator:
 
     def smooth(self) -> Array:
         """Return the mean (d,) of the last five sightings. Source: APEX, five-frame window."""
-        result: Array = np.mean([sample.x for sample in self._recent], axis=0)
+        result: Array = np.array([s.x for s in self._recent]).sum(axis=0) / len(self._recent)
         return result
 
     def clear(self) -> None:
@@ -103,6 +108,7 @@ class MotionEstimator:
         self._window, self._waiting, self._fit = [], [], None
         self._recent.clear()
         self._noise.clear()
+        self._shown_sd = 0.0
         self._n_since_manoeuvre = 1 << 30
 
     def add(self, t_s: float, x: Array, sd: float) -> None:
@@ -122,6 +128,7 @@ class MotionEstimator:
             self._waiting.append(sample)
             self._try_restart()
         self._refit()
+        self._state = None
 
     def predict(self, t_s: float) -> Motion:
         """Return the state at ``t_s``, its covariance growing with the time since the last sighting.
@@ -132,28 +139,38 @@ class MotionEstimator:
         """
         if self._fit is None:
             raise ValueError("no sighting to predict from")
-        fit, rules = self._fit, self._rules
-        dt = t_s - fit.t_s
-        order = fit.beta.shape[0]
-        row_x = np.array([1.0, dt, dt * dt])[:order]
-        row_v = np.array([0.0, 1.0, 2.0 * dt])[:order]
-        both = np.vstack([row_x, row_v])
-        unit = both @ fit.unit_cov @ both.T
-        dim = fit.beta.shape[1]
+        if self._state is None or self._state_t_s != t_s:
+            self._state, self._state_t_s = self._state_at(t_s, self._fit), t_s
+        return self._state
+
+    def _state_at(self, t_s: float, fit: Fit) -> Motion:
+        # Plain floats where arrays are tiny: this runs a few times per object and frame, and a
+        # numpy call costs more than the sums in it.
+        rules, dt = self._rules, t_s - fit.t_s
+        order, dim = fit.beta.shape
+        row_x, row_v = (1.0, dt, dt * dt)[:order], (0.0, 1.0, 2.0 * dt)[:order]
+        velocity = np.array(row_v) @ fit.beta
+        unit = fit.unit_cov.tolist()
         unseen = max(0.0, t_s - self.last_t_s)
-        drift = rules.acc_sd * np.array([0.5 * unseen * unseen, unseen])
-        extra = np.outer(drift, drift) + self._unseen_curve(fit, row_v @ fit.beta)
-        extra[0, 0] += self._doubt()
+        off_x, off_v = self._unseen_curve(fit, velocity)
+        drift_x, drift_v = 0.5 * rules.acc_sd * unseen * unseen, rules.acc_sd * unseen
+        var_x = drift_x**2 + off_x**2 + self._doubt()
+        var_xv, var_v = drift_x * drift_v + off_x * off_v, drift_v**2 + off_v**2
+        unit_x, unit_xv, unit_v = (
+            sum(p * q * unit[i][j] for i, p in enumerate(left) for j, q in enumerate(right))
+            for left, right in ((row_x, row_x), (row_x, row_v), (row_v, row_v))
+        )
         cov = np.zeros((2 * dim, 2 * dim))
-        axes = np.arange(dim)
-        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            cov[i * dim + axes, j * dim + axes] = unit[i, j] * fit.noise_var + extra[i, j]
-        velocity = row_v @ fit.beta
-        if len(self._window) < rules.min_samples:
+        is_young = len(self._window) < rules.min_samples
+        for axis, noise in enumerate(fit.noise_var.tolist()):
+            other = dim + axis
+            cov[axis, axis] = unit_x * noise + var_x
+            cov[axis, other] = cov[other, axis] = unit_xv * noise + var_xv
+            cov[other, other] = rules.speed_sd**2 if is_young else unit_v * noise + var_v
+        if is_young:
             velocity = np.zeros(dim)
-            cov[dim + axes, dim + axes] = rules.speed_sd**2
         acc = 2.0 * fit.beta[2] if order == 3 else np.zeros(dim)
-        return Motion(row_x @ fit.beta, velocity, acc, cov)
+        return Motion(np.array(row_x) @ fit.beta, velocity, acc, cov)
 
     def _doubt(self) -> float:
         """Return the variance that sightings outside the gate put on the position."""
@@ -164,27 +181,25 @@ class MotionEstimator:
         gap = newest.x - row[: self._fit.beta.shape[0]] @ self._fit.beta
         return float(gap @ gap) / len(gap) if len(self._waiting) >= 2 else 0.0
 
-    def _unseen_curve(self, fit: Fit, velocity: Array) -> Array:
-        """Return the (2, 2) variance of x and v from a curvature too weak to be noticed.
+    def _unseen_curve(self, fit: Fit, velocity: Array) -> Tuple[float, float]:
+        """Return the sd of x and of v that a curvature too weak to be noticed leaves.
 
         A line over T seconds with an acceleration of one sd of what could have been measured is
         off by a T / 2 at its end. An object at rest has none: friction needs motion.
         """
-        n = len(self._window)
+        n, dim = len(self._window), len(velocity)
         span = self._window[-1].t_s - self._window[0].t_s
-        noise = float(np.mean(fit.noise_var))
+        noise = float(fit.noise_var.sum()) / dim
         if fit.beta.shape[0] != 2 or n < 4 or span <= 0.0:
-            return np.zeros((2, 2))
-        if float(velocity @ velocity) <= 9.0 * len(velocity) * noise * float(fit.unit_cov[1, 1]):
-            return np.zeros((2, 2))
-        acc = min(self._rules.acc_sd, 26.8 * np.sqrt(noise / n) / span**2)
-        slope = np.array([span * span / 12.0, span / 2.0]) * acc
-        return np.outer(slope, slope)
+            return 0.0, 0.0
+        if float(velocity @ velocity) <= 9.0 * dim * noise * float(fit.unit_cov[1, 1]):
+            return 0.0, 0.0
+        acc = min(self._rules.acc_sd, 26.8 * math.sqrt(noise / n) / span**2)
+        return acc * span * span / 12.0, acc * span / 2.0
 
     def _noise_sd(self, sample: Sample) -> float:
         """Return the noise of a sighting: what is stated, or what the track has shown if larger."""
-        shown = float(np.median(self._noise)) / 0.6745 if len(self._noise) >= 8 else 0.0
-        return min(max(sample.sd, shown), _MAX_NOISE_RATIO * sample.sd)
+        return min(max(sample.sd, self._shown_sd), _MAX_NOISE_RATIO * sample.sd)
 
     def _note_noise(self, sample: Sample) -> None:
         """Keep how far the newest sighting lies off the parabola through the three before it."""
@@ -201,7 +216,9 @@ class MotionEstimator:
         )
         miss = sample.x - weights @ np.array([s.x for s in last])
         scale = np.sqrt(1.0 + float(weights @ weights))
-        self._noise.append(float(np.median(np.abs(miss))) / scale)
+        self._noise.append(median(np.abs(miss).tolist()) / scale)
+        if len(self._noise) >= _MIN_NOISE:
+            self._shown_sd = median(self._noise) / 0.6745
 
     def _is_inside(self, sample: Sample) -> bool:
         state = self.predict(sample.t_s)
@@ -260,8 +277,8 @@ class MotionEstimator:
         sd = np.array([self._noise_sd(s) for s in samples])
         speed = self._speed_guess(t, x) * self._rules.stamp_sd_s
         variance = sd * sd + speed * speed
-        weight = float(np.mean(variance)) / variance
-        scale = float(np.mean(variance))
+        scale = float(variance.sum()) / len(samples)
+        weight = scale / variance
         rows = np.vander(t, order, increasing=True)
         normal = rows.T @ (rows * weight[:, None])
         normal[1, 1] += scale / self._rules.speed_sd**2

@@ -64,7 +64,9 @@ class Tracker:
         for track in self._tracks:
             track.status = TrackStatus.LOST
 
-    def windows(self, t_s: float, camera: Optional[CameraModel], shape: Tuple[int, ...]) -> List[Box]:
+    def windows(
+        self, t_s: float, camera: Optional[CameraModel], shape: Tuple[int, ...]
+    ) -> List[Box]:
         """Return where to look for each live track at ``t_s``, clipped to the picture.
 
         The box it had, moved along, plus three standard deviations and room for a bounce.
@@ -80,8 +82,10 @@ class Tracker:
             dim = len(state.x)
             sd = scale * float(np.sqrt(np.max(np.diag(state.cov)[:dim])))
             swing = 2.0 * scale * float(np.linalg.norm(state.v)) * (t_s - track.last_seen_s)
-            half = 0.5 * track.box_px[2:] + self._config.window_margin_px + min(
-                3.0 * sd + swing, 0.25 * shape[1]
+            half = (
+                0.5 * track.box_px[2:]
+                + self._config.window_margin_px
+                + min(3.0 * sd + swing, 0.25 * shape[1])
             )
             low = np.floor(np.clip(middle - half, 0, [shape[1], shape[0]])).astype(int)
             high = np.ceil(np.clip(middle + half + 1, 0, [shape[1], shape[0]])).astype(int)
