@@ -10,20 +10,22 @@ import pytest
 import apex_edge
 import calib
 import firmware_bridge
+import offline_train
 from apex_edge.errors import ApexError
 
 ROOT = Path(__file__).resolve().parents[2]
+OWN = ("apex_edge", "firmware_bridge", "calib", "offline_train")
 DOCS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
 def all_errors():
-    for package in (apex_edge, firmware_bridge, calib):
+    for package in (apex_edge, firmware_bridge, calib, offline_train):
         for info in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             importlib.import_module(info.name)
     found, queue = set(), [ApexError]
     while queue:
         kind = queue.pop()
-        if kind.__module__.split(".")[0] in ("apex_edge", "firmware_bridge", "calib"):
+        if kind.__module__.split(".")[0] in OWN:
             found.add(kind)
         queue.extend(kind.__subclasses__())
     return found
