@@ -210,7 +210,7 @@ class ArmModel:
 def _two_links(reach: Array, height: Array, links: Links) -> Array:
     """Solve shoulder and elbow for wrist points (n, g): (n, g, 2 branches, 2), NaN when too far."""
     upper, fore = links.upper_m, links.forearm_m
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         cosine = (reach**2 + height**2 - upper**2 - fore**2) / (2.0 * upper * fore)
         bend = np.arccos(cosine)
     elbow = np.stack([bend, -bend], axis=-1)  # elbow up first

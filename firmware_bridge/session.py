@@ -5,6 +5,7 @@ tenth of a second ahead, and the arm of a dead host stops within that time. PWM 
 measured either: all poses here are commanded ones, and say so.
 """
 
+import contextlib
 import logging
 import math
 import threading
@@ -123,14 +124,13 @@ class ArmSession:
                 self._enter(SessionState.CONNECTED)
 
     def close(self) -> None:
-        """Hold the arm where it is and let go of the link."""
+        """Hold the arm where it is and let go of the link; a board lost just then is a FAULT."""
         with self._lock:
-            try:
+            with contextlib.suppress(LinkLost):  # kept in state and reason; gone is closed as well
                 self.stop()
-            finally:
-                self._link.close()
-                if self._state not in (SessionState.FAULT, SessionState.ESTOP):
-                    self._enter(SessionState.CLOSED)
+            self._link.close()
+            if self._state not in (SessionState.FAULT, SessionState.ESTOP):
+                self._enter(SessionState.CLOSED)
 
     def arm(self, at_rad: Optional[Array] = None) -> None:
         """Close the gripper and get ready to move.

@@ -2,6 +2,5 @@
 
 from firmware_bridge.simulator.firmware import RrcFirmware
 from firmware_bridge.simulator.pty_board import PtyBoard
-from firmware_bridge.simulator.rig import SimulatedArm
 
-__all__ = ["PtyBoard", "RrcFirmware", "SimulatedArm"]
+__all__ = ["PtyBoard", "RrcFirmware"]

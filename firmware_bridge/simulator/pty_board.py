@@ -2,11 +2,13 @@
 
 import contextlib
 import os
+import select
 import tty
 
 from firmware_bridge.simulator.firmware import RrcFirmware
 
 _CHUNK = 65536
+_HANDOVER_S = 0.005
 
 
 class PtyBoard:
@@ -40,12 +42,20 @@ class PtyBoard:
                 data = os.read(self._master, _CHUNK)
                 n_moved += len(data)
                 self.firmware.feed(data)
+        self.n_bytes_in += n_moved
+        self._answer()
+        return n_moved
+
+    def _answer(self) -> None:
         self._pending += self.firmware.replies()
+        if not self._pending:
+            return
         with contextlib.suppress(BlockingIOError):
             while self._pending:
                 del self._pending[: os.write(self._master, self._pending)]
-        self.n_bytes_in += n_moved
-        return n_moved
+        # The kernel hands the bytes over a little later; without this a run in simulated time
+        # would depend on when. A host that has read them already costs the full wait.
+        select.select([self._slave], [], [], _HANDOVER_S)
 
     def close(self) -> None:
         """Unplug: the host sees its port hang up. Safe to call twice."""

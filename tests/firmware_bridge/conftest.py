@@ -1,7 +1,9 @@
-"""A complete simulated arm in simulated time: session, serial link, pty, firmware, servos."""
+"""Fixtures: the arm, and a complete simulated one in simulated time over a real pty."""
 
 import time
 from typing import Optional
+
+import pytest
 
 from apex_edge.types import Array
 from firmware_bridge.errors import LinkLost
@@ -16,7 +18,7 @@ _STEP_S = 0.01
 _PATIENCE_S = 2.0  # wall time for bytes to cross the pty; it takes about 0.1 ms
 
 
-class SimulatedArm:
+class Bench:
     """Wire an ``ArmSession`` to a ``PtyBoard`` over real bytes, on one simulated clock.
 
     ``t_s`` moves by ``advance`` alone, so a run gives the same result every time. ``tick_s`` is how
@@ -85,8 +87,32 @@ class SimulatedArm:
         finally:
             self.board.close()
 
-    def __enter__(self) -> "SimulatedArm":
+    def __enter__(self) -> "Bench":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@pytest.fixture(scope="session")
+def arm():
+    return ArmModel.load("armpi-mini")
+
+
+@pytest.fixture
+def bench(arm):
+    with Bench(arm) as made:
+        yield made
+
+
+@pytest.fixture
+def make_bench(arm):
+    made = []
+
+    def make(**options):
+        made.append(Bench(arm, **options))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
