@@ -1,0 +1,264 @@
+"""What all triggers share: the pairs, the moving gate, persistence; each adds its judgement.
+
+A pair is only judged when its mover truly moves (a still table with noisy tracks never fires) and
+when contact within the horizon is possible at the pessimistic end. It fires when the judgement
+says hit in n of the last m frames. The trigger knows nothing of protected objects; the agent
+filters. Source: APEX section "Trigger"; gate and persistence are ours.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Dict, Optional, Tuple, Union
+
+import numpy as np
+
+from apex_edge.config import setting
+from apex_edge.triggers.approach import Approach, Pairs, closest, early_contact, miss_sd
+from apex_edge.types import Array, DifferenceGraph, HazardScores, Tracks
+
+# The table is a plane; heights are the least certain part of a depth camera.
+N_DIMS = 2
+# Used when perception could not measure a size; about the largest toy on the table.
+UNKNOWN_RADIUS_M = 0.02
+# sd of an acceleration fitted to a window of length T, as a multiple of (velocity sd / T): 7.75 for
+# a line's velocity sd. Only the slowing down beyond 1.64 of these sd counts, since believing in
+# a stop that never comes would silence the alarm.
+_ACC_SD_FACTOR = 7.75
+_Z_PROVEN = 1.6449
+_MAX_DECEL_M_S2 = 5.0
+
+
+@dataclass(frozen=True)
+class TriggerConfig:
+    """Settings of the trigger stage, ``[trigger]``."""
+
+    type: str = setting("linear", "name of the trigger plug-in")
+    horizon_s: float = setting(5.0, "s looked ahead", 0.5, 30.0)
+    weights: str = setting("", "weights file of the linear trigger; empty = the shipped one")
+    k_sigma: float = setting(1.0, "sd of miss distance the analytic rule adds to the radius", 0, 6)
+    min_speed_m_s: float = setting(0.02, "m/s below which an object counts as at rest", 0.0, 1.0)
+    # Measured on white noise, windows of 5 to 20 frames: with 3 sd a still track passes the gate
+    # in 3 of 5 frames up to 4 times in 1000 frames, with 4 sd at most 0.08 times.
+    min_speed_sd: float = setting(4.0, "sd of velocity below which an object is at rest", 0, 20)
+    persist_hits: int = setting(3, "frames with a hit needed to fire", 1, 60)
+    persist_frames: int = setting(5, "frames looked back for the hits", 1, 60)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known of m pairs: geometry, noise, and how much was seen.
+
+    ``sigma_m (m,)`` sd of the miss distance, ``early_s (m,)`` pessimistic time to contact,
+    ``is_moving (m,)`` of the mover, ``n_samples (m,)`` behind the younger of the two tracks,
+    ``horizon_s`` scalar.
+    """
+
+    pairs: Pairs
+    approach: Approach
+    sigma_m: Array
+    early_s: Array
+    is_moving: Array
+    n_samples: Array
+    horizon_s: float
+
+    @property
+    def is_possible(self) -> Array:
+        """Say which pairs (m,) have a true mover and can touch at the pessimistic end."""
+        possible: Array = self.is_moving & np.isfinite(self.early_s)
+        return possible
+
+    def take(self, rows: Array) -> "Evidence":
+        """Return the pairs chosen by a mask or by indices."""
+        found = self.approach
+        return Evidence(
+            pairs=self.pairs.take(rows),
+            approach=Approach(
+                found.dca_m[rows],
+                found.tca_s[rows],
+                found.ttc_s[rows],
+                found.at_end_m[rows],
+                found.drift_s[rows],
+                found.end_drift_s[rows],
+            ),
+            sigma_m=self.sigma_m[rows],
+            early_s=self.early_s[rows],
+            is_moving=self.is_moving[rows],
+            n_samples=self.n_samples[rows],
+            horizon_s=self.horizon_s,
+        )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A judgement on m pairs: ``probability``, ``is_hit`` and ``is_fallback``, each (m,)."""
+
+    probability: Array
+    is_hit: Array
+    is_fallback: Array
+
+
+class Trigger(ABC):
+    """Score each edge of a difference graph for contact within the horizon.
+
+    Parameters
+    ----------
+    config : see TriggerConfig; None = defaults.
+    """
+
+    def __init__(self, config: Optional[TriggerConfig] = None) -> None:
+        self.config = config if config is not None else TriggerConfig()
+        self._persistence = Persistence(self.config.persist_hits, self.config.persist_frames)
+
+    def reset(self) -> None:
+        """Forget earlier frames, as at start-up."""
+        self._persistence.reset()
+
+    def score(self, diff: DifferenceGraph, horizon_s: float) -> HazardScores:
+        """Score the edges of ``diff.graph``; call once per frame, in order."""
+        edges, is_moving = movers_first(diff.graph.tracks, diff.graph.edges, self.config)
+        pairs = pairs_of(diff.graph.tracks, edges, diff.dt_s)
+        n_samples = np.min(diff.graph.tracks.n_samples[edges], axis=1)
+        evidence = weigh(pairs, is_moving, n_samples, horizon_s)
+        rows = np.flatnonzero(evidence.is_possible)
+        probability = np.zeros(len(edges))
+        is_hit = np.zeros(len(edges), dtype=bool)
+        is_fallback = np.zeros(len(edges), dtype=bool)
+        if len(rows):
+            verdict = self.judge(evidence.take(rows))
+            probability[rows] = verdict.probability
+            is_hit[rows] = verdict.is_hit
+            is_fallback[rows] = verdict.is_fallback
+        ids = diff.graph.tracks.track_id[edges]
+        found = evidence.approach
+        return HazardScores(
+            seq=diff.seq,
+            t_s=diff.t_s,
+            mover_id=ids[:, 0],
+            target_id=ids[:, 1],
+            probability=probability,
+            dca_m=found.dca_m,
+            tca_s=found.tca_s,
+            ttc_s=found.ttc_s,
+            ttc_early_s=np.where(is_moving, evidence.early_s, np.inf),
+            sigma_m=evidence.sigma_m,
+            is_fired=self._persistence.update(ids, is_hit) & evidence.is_possible,
+            is_fallback=is_fallback,
+        )
+
+    @abstractmethod
+    def judge(self, evidence: Evidence) -> Verdict:
+        """Judge pairs which move and can touch; no state."""
+
+
+class Persistence:
+    """n-of-m vote per pair of tracks; a pair that left the graph starts anew."""
+
+    def __init__(self, n_hits: int, n_frames: int) -> None:
+        self._n_hits = n_hits
+        self._mask = (1 << n_frames) - 1
+        self._history: Dict[Tuple[int, int], int] = {}
+
+    def reset(self) -> None:
+        """Forget all pairs."""
+        self._history = {}
+
+    def update(self, ids: Array, is_hit: Array) -> Array:
+        """Take in one frame, ``ids (m, 2)`` and ``is_hit (m,)``; return who fires (m,)."""
+        is_fired = np.zeros(len(ids), dtype=bool)
+        history: Dict[Tuple[int, int], int] = {}
+        if not self._history and not is_hit.any():
+            return is_fired
+        for row, (first, second) in enumerate(np.sort(ids, axis=1).tolist()):
+            past = self._history.get((first, second), 0)
+            bits = ((past << 1) | int(is_hit[row])) & self._mask
+            if bits:
+                history[(first, second)] = bits
+                is_fired[row] = bin(bits).count("1") >= self._n_hits
+        self._history = history
+        return is_fired
+
+
+def movers_first(tracks: Tracks, edges: Array, config: TriggerConfig) -> Tuple[Array, Array]:
+    """Order each edge (mover, target) and say whether the mover moves.
+
+    The mover is the faster of the two; one that truly moves goes before one that only jitters.
+
+    Returns
+    -------
+    edges (m, 2) as indices of tracks, is_moving (m,). A track whose velocity or covariance is
+    not finite does not count as moving: nothing is known of its motion.
+    """
+    velocity = tracks.vel_m_s[:, :N_DIMS]
+    speed = np.nan_to_num(np.sqrt(np.einsum("nd,nd->n", velocity, velocity)), nan=0.0)
+    spread = tracks.cov[:, 3 : 3 + N_DIMS, 3 : 3 + N_DIMS]
+    is_known = np.all(np.isfinite(velocity), axis=1) & np.all(np.isfinite(spread), axis=(1, 2))
+    variance = np.where(is_known, np.einsum("nii->n", spread) / N_DIMS, 0.0)
+    floor = np.maximum(config.min_speed_m_s, config.min_speed_sd * np.sqrt(np.maximum(variance, 0)))
+    moves = is_known & (speed > floor)
+    rank = speed + np.where(moves, 1e6, 0.0)
+    swap = rank[edges[:, 1]] > rank[edges[:, 0]]
+    ordered = np.where(swap[:, None], edges[:, ::-1], edges)
+    return ordered, moves[ordered[:, 0]]
+
+
+def weigh(pairs: Pairs, is_moving: Array, n_samples: Array, horizon_s: float) -> Evidence:
+    """Work out closest approach, noise and pessimistic contact of m pairs."""
+    approach = closest(pairs, horizon_s)
+    return Evidence(
+        pairs=pairs,
+        approach=approach,
+        sigma_m=miss_sd(pairs, approach.drift_s),
+        early_s=early_contact(pairs, approach, horizon_s),
+        is_moving=is_moving,
+        n_samples=n_samples,
+        horizon_s=horizon_s,
+    )
+
+
+def pairs_of(tracks: Tracks, edges: Array, frame_s: Union[float, Array]) -> Pairs:
+    """Return the planar pairs (mover, target) of ``edges (m, 2)``; ``frame_s`` is the time
+    between frames, scalar or one per track.
+
+    Unknown velocity or covariance becomes zero here; the moving gate keeps such pairs silent.
+    """
+    mover, target = edges[:, 0], edges[:, 1]
+    place = tracks.pos_m[:, :N_DIMS]
+    velocity = np.nan_to_num(tracks.vel_m_s[:, :N_DIMS], nan=0.0, posinf=0.0, neginf=0.0)
+    wanted = np.concatenate([np.arange(N_DIMS), 3 + np.arange(N_DIMS)])
+    cov = tracks.cov[:, wanted[:, None], wanted]
+    cov = np.where(np.all(np.isfinite(cov), axis=(1, 2))[:, None, None], cov, 0.0)
+    is_sized = np.isfinite(tracks.radius_m) & (tracks.radius_m > 0.0)
+    radius = np.where(is_sized, tracks.radius_m, UNKNOWN_RADIUS_M)
+    decel = proven_decel(
+        velocity,
+        tracks.acc_m_s2[:, :N_DIMS],
+        cov[:, N_DIMS:, N_DIMS:],
+        (tracks.n_samples - 1) * frame_s,
+    )
+    return Pairs(
+        offset_m=place[target] - place[mover],
+        mover_vel_m_s=velocity[mover],
+        target_vel_m_s=velocity[target],
+        decel_m_s2=decel[mover],
+        radius_m=radius[mover] + radius[target],
+        cov=cov[mover] + cov[target],
+    )
+
+
+def proven_decel(velocity: Array, acc: Array, vel_cov: Array, window_s: Array) -> Array:
+    """Return the slowing down (n,) in m/s^2 that the samples prove, 0 where they prove none.
+
+    Parameters
+    ----------
+    velocity, acc : (n, d) in m/s and m/s^2; NaN in acc counts as none given.
+    vel_cov : (n, d, d); window_s : (n,) time covered by the samples behind the fit.
+    """
+    speed = np.sqrt(np.einsum("nd,nd->n", velocity, velocity))
+    heading = velocity / np.where(speed > 0.0, speed, 1.0)[:, None]
+    against = -np.einsum("nd,nd->n", np.nan_to_num(acc, nan=0.0, posinf=0.0, neginf=0.0), heading)
+    variance = np.maximum(np.einsum("ni,nij,nj->n", heading, vel_cov, heading), 0.0)
+    has_window = window_s > 0.0
+    doubt = _ACC_SD_FACTOR * np.sqrt(variance) / np.where(has_window, window_s, 1.0)
+    proven = np.clip(against - _Z_PROVEN * doubt, 0.0, _MAX_DECEL_M_S2)
+    decel: Array = np.where(has_window & (speed > 0.0), proven, 0.0)
+    return decel

@@ -1,0 +1,1 @@
+"""Train the linear trigger: generate -> observe -> fit -> calibrate -> evaluate -> export."""
