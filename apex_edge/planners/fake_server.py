@@ -7,18 +7,41 @@ callable says, also the faults real servers have: it writes raw bytes, one threa
 
 import argparse
 import json
-import random
-import re
 import signal
 import socket
 import ssl
 import struct
 import sys
 import threading
-from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Dict, List, Mapping, Optional, Tuple
 
 from apex_edge.planners.endpoint import Secret
+from apex_edge.planners.fake_answers import (
+    ANSWERS,
+    Behaviour,
+    FakeReply,
+    FakeRequest,
+    answering,
+    completion,
+    completion_body,
+    read_choices,
+    sequence,
+)
+
+__all__ = [
+    "ANSWERS",
+    "FAULTS",
+    "Behaviour",
+    "FakeReply",
+    "FakeRequest",
+    "FakeServer",
+    "answering",
+    "completion",
+    "completion_body",
+    "failing",
+    "read_choices",
+    "sequence",
+]
 
 FAULTS = (
     "hang",  # never answers
@@ -37,54 +60,6 @@ FAULTS = (
 )
 DRIP_S = 0.05
 REQUEST_LIMIT_BYTES = 1 << 20
-
-_COMPACT_ROW = re.compile(r"^(\d+): -?\d+,-?\d+; (\S+); (\S+)$", re.MULTILINE)
-
-
-@dataclass(frozen=True)
-class FakeRequest:
-    """One request as it came in; ``body`` is the parsed JSON (None when it is none).
-
-    ``number`` counts from 0; ``key`` is the bearer key, which no repr shows; ``headers`` have
-    lower-case names and leave the key out.
-    """
-
-    number: int
-    path: str
-    headers: Mapping[str, str]
-    body: Any
-    key: Optional[Secret]
-
-    @property
-    def prompt(self) -> str:
-        """Return the text of the last message, "" without one."""
-        try:
-            return str(self.body["messages"][-1]["content"])
-        except (TypeError, KeyError, IndexError):
-            return ""
-
-
-@dataclass(frozen=True)
-class FakeReply:
-    """What to send: a normal response after ``latency_s``, or one of FAULTS."""
-
-    body: bytes = b"{}"
-    status: int = 200
-    headers: Mapping[str, str] = field(default_factory=dict)
-    latency_s: float = 0.0
-    fault: str = ""
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A candidate as a prompt shows it: how to answer with it, and what it leads to."""
-
-    answer: str
-    gap: float
-    arrival_s: float
-
-
-Behaviour = Callable[[FakeRequest], FakeReply]
 
 
 class FakeServer:
@@ -113,11 +88,17 @@ class FakeServer:
         scheme = "https" if self._tls else "http"
         return f"{scheme}://127.0.0.1:{self._listener.getsockname()[1]}/v1"
 
+    @property
+    def n_connections(self) -> int:
+        """Return how many connections were ever accepted."""
+        return len(self._threads)
+
     def close(self) -> None:
         """Stop serving, cut every connection and wait for the threads."""
         if self._stop.is_set():
             return
         self._stop.set()
+        _shut(self._listener)
         self._accepter.join()
         self._listener.close()
         with self._lock:
@@ -136,8 +117,8 @@ class FakeServer:
         while not self._stop.is_set():
             try:
                 connection, _ = self._listener.accept()
-            except socket.timeout:
-                continue
+            except OSError:
+                continue  # the time-out, or the listener was shut
             # without it a header and a body sent apart cost the 40 ms of a delayed ACK
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             thread = threading.Thread(target=self._serve, args=(connection,), daemon=True)
@@ -219,100 +200,11 @@ class FakeServer:
             pass
 
 
-def completion_body(text: str, finish_reason: str = "stop") -> bytes:
-    """Return a chat-completions body with one message."""
-    choice = {
-        "index": 0,
-        "finish_reason": finish_reason,
-        "message": {"role": "assistant", "content": text},
-    }
-    usage = {"prompt_tokens": 100, "completion_tokens": 8, "total_tokens": 108}
-    data = {"object": "chat.completion", "model": "fake", "choices": [choice], "usage": usage}
-    return json.dumps(data).encode("utf-8")
-
-
-def completion(text: str, latency_s: float = 0.0) -> FakeReply:
-    """Return a normal answer with this text."""
-    return FakeReply(completion_body(text), latency_s=latency_s)
-
-
 def failing(fault: str) -> Behaviour:
     """Return a behaviour that shows one of FAULTS, whatever is asked."""
     if fault not in FAULTS:
         raise ValueError(f"no fault is named {fault!r}; known: {', '.join(FAULTS)}")
     return lambda request: FakeReply(fault=fault)
-
-
-def sequence(*replies: FakeReply) -> Behaviour:
-    """Return a behaviour that gives one reply after the other and then repeats the last."""
-    return lambda request: replies[min(request.number, len(replies) - 1)]
-
-
-def answering(kind: str, latency_s: float = 0.0, seed: int = 0) -> Behaviour:
-    """Return a behaviour that answers every prompt in one way.
-
-    Parameters
-    ----------
-    kind : "first", "random" or "worst" of the candidates shown; "no_action"; "out_of_set", "nan"
-        or "prose" (wrong answers); "hang".
-    seed : seed of "random".
-    """
-    if kind not in ANSWERS:
-        raise ValueError(f"no answer is named {kind!r}; known: {', '.join(ANSWERS)}")
-    rng = random.Random(seed)
-
-    def behave(request: FakeRequest) -> FakeReply:
-        if kind == "hang":
-            return FakeReply(fault="hang")
-        return completion(_answer(kind, request.prompt, rng), latency_s)
-
-    return behave
-
-
-ANSWERS = ("first", "random", "worst", "no_action", "out_of_set", "nan", "prose", "hang")
-
-
-def read_choices(prompt: str) -> List[Choice]:
-    """Read the candidates out of any of our prompts."""
-    rows = _COMPACT_ROW.findall(prompt)
-    if rows:
-        return [
-            Choice(json.dumps({"index": int(number)}), _number(gap), _number(arrival))
-            for number, arrival, gap in rows
-        ]
-    start = prompt.find('[{"x"')
-    points = json.JSONDecoder().raw_decode(prompt[start:])[0] if start >= 0 else []
-    return [
-        Choice(
-            json.dumps({"x": point["x"], "y": point["y"]}),
-            _number(point["min_distance"]),
-            _number(point["arrival_s"]),
-        )
-        for point in points
-    ]
-
-
-def _answer(kind: str, prompt: str, rng: random.Random) -> str:
-    is_index = '{"index": n}' in prompt
-    choices = read_choices(prompt)
-    if kind == "prose" or (kind in ("first", "random", "worst") and not choices):
-        return "I would carefully move the arm somewhere between the two balls."
-    if kind == "no_action":
-        return '{"index": 0}' if is_index else '{"x": -99, "y": -99}'
-    if kind == "out_of_set":
-        return '{"index": 1412}' if is_index else '{"x": 5.0, "y": 5.0}'
-    if kind == "nan":
-        return '{"index": NaN}' if is_index else '{"x": NaN, "y": 0.1}'
-    if kind == "worst":
-        return min(choices, key=lambda choice: (choice.gap, -choice.arrival_s)).answer
-    return (rng.choice(choices) if kind == "random" else choices[0]).answer
-
-
-def _number(text: Any) -> float:
-    try:
-        return float(text)
-    except (TypeError, ValueError):
-        return float("inf")
 
 
 def _listen(port: int) -> socket.socket:
@@ -336,9 +228,10 @@ def _receive(connection: socket.socket) -> Optional[Tuple[str, Dict[str, str], b
     data = b""
     while b"\r\n\r\n" not in data:
         piece = connection.recv(65536)
-        if not piece or len(data) > REQUEST_LIMIT_BYTES:
-            return None
         data += piece
+        is_http = data[:1].isalpha()  # a TLS greeting is not
+        if not piece or not is_http or len(data) > REQUEST_LIMIT_BYTES:
+            return None
     head, _, body = data.partition(b"\r\n\r\n")
     lines = head.decode("latin-1").split("\r\n")
     words = lines[0].split(" ")

@@ -16,13 +16,12 @@ from apex_edge.planners.client import Call, ChatClient, Reply
 from apex_edge.planners.dialect import Question
 from apex_edge.planners.endpoint import endpoint_from
 from apex_edge.planners.parse import Answer, parse_index, parse_point
-from apex_edge.planners.prompts import Prompt, render
+from apex_edge.planners.prompts import FAR_M, Prompt, render
 from apex_edge.types import Proposal, Rollouts
 
 logger = logging.getLogger(__name__)
 
 SNAP_M = 0.005  # a point this near to a candidate means it; the grid is about as coarse
-FAR_M = 1000.0  # beyond any table; keeps the distance from overflowing
 HOUR_S = 3600.0
 
 

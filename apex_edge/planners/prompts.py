@@ -57,9 +57,9 @@ IMPLICIT = (
 """Source: APEX, "Prompt of Implicit intervention setting"; a ``str.format`` template."""
 
 COMPACT = (
-    "A robot arm stops a moving object before it hits another. Choose where it stands.\n"
-    'Answer only {{"index": n}}: n = a row, or 0 if no action is needed.\n'
-    "Rows: n: x,y cm; arm there in s; gap left cm\n"
+    "A robot arm can stop a moving object. Choose where it stands.\n"
+    'Answer only {{"index": n}}: n = row, 0 = no action.\n'
+    "Row: x y cm, arrival s, closest pass cm\n"
     "{state}\n"
     "{rolling_results}\n"
 )
@@ -71,6 +71,8 @@ ALLOWED_NAMES = frozenset(
     ("red", "green", "blue", "yellow", "orange", "purple", "pink")
     + ("brown", "black", "white", "grey", "cyan", "magenta")
 )
+
+FAR_M = 1000.0  # a place or speed beyond this is no measurement
 
 _POINT_SCHEMA: Mapping[str, Any] = {
     "type": "object",
@@ -144,8 +146,10 @@ def safe_name(name: str, track_id: int) -> str:
 
 def _rows_of(tracks: Tracks) -> List[int]:
     """Return the tracks whose place and motion are known."""
-    known = np.isfinite(tracks.pos_m).all(axis=1) & np.isfinite(tracks.vel_m_s).all(axis=1)
-    return [int(i) for i in np.flatnonzero(known)]
+    # a comparison with NaN is false, so this leaves the unknown out too
+    with np.errstate(invalid="ignore"):
+        is_sane = (np.abs(tracks.pos_m) < FAR_M) & (np.abs(tracks.vel_m_s) < FAR_M)
+    return [int(i) for i in np.flatnonzero(is_sane.all(axis=1))]
 
 
 def _json_state(tracks: Tracks) -> str:
@@ -177,7 +181,7 @@ def _compact_state(tracks: Tracks, rollouts: Rollouts) -> str:
     mover = _compact_object(tracks, rollouts.mover_id)
     target = _compact_object(tracks, rollouts.target_id)
     contact_s = rollouts.t_free_collision_s
-    when = f"contact in {contact_s:.1f} s" if math.isfinite(contact_s) else "no contact foreseen"
+    when = f"contact in {contact_s:.1f}s" if math.isfinite(contact_s) else "no contact foreseen"
     return f"{mover} nears {target}, {when}"
 
 
@@ -197,9 +201,9 @@ def _compact_rows(rollouts: Rollouts, indices: Tuple[int, ...]) -> str:
     for choice, i in enumerate(indices, start=1):
         x, y = (_whole_cm(value) for value in rollouts.candidates.tip_m[i, :2])
         arrival, gap_m = rollouts.arrival_s[i], rollouts.min_distance_m[i]
-        arrival_text = f"{arrival:.1f}" if math.isfinite(arrival) else "?"
-        gap = str(_whole_cm(gap_m)) if math.isfinite(gap_m) else "?"
-        rows.append(f"{choice}: {x},{y}; {arrival_text}; {gap}")
+        arrival_text = f"{arrival:.1f}" if abs(arrival) < FAR_M else "?"
+        gap = str(_whole_cm(gap_m)) if abs(gap_m) < FAR_M else "?"
+        rows.append(f"{choice}: {x} {y} {arrival_text} {gap}")
     return "\n".join(rows)
 
 
@@ -213,4 +217,4 @@ def _rounded(values_m: Array) -> List[float]:
 
 def _finite(value: float, digits: int) -> Any:
     """Return a rounded number, or None (JSON null) when there is none."""
-    return round(float(value), digits) if math.isfinite(value) else None
+    return round(float(value), digits) if abs(value) < FAR_M else None

@@ -73,7 +73,8 @@ class _HttpsPool(urllib3.connectionpool.HTTPSConnectionPool):
 
 class _Adapter(requests.adapters.HTTPAdapter):
     def init_poolmanager(self, *args: Any, **kwargs: Any) -> None:
-        super().init_poolmanager(*args, **kwargs)  # type: ignore[no-untyped-call]
+        parent: Any = super()
+        parent.init_poolmanager(*args, **kwargs)
         pools: Any = self.poolmanager
         pools.pool_classes_by_scheme = {"http": _HttpPool, "https": _HttpsPool}
 
