@@ -58,17 +58,13 @@ def _wood(x: Array, y: Array) -> Array:
         int((TABLE_X_M[1] - TABLE_X_M[0]) * TEXELS_PER_M),
         int((TABLE_Y_M[1] - TABLE_Y_M[0]) * TEXELS_PER_M),
     )
-    grain = cv2.GaussianBlur(
-        rng.standard_normal(shape).astype(np.float32), (0, 0), 45.0, sigmaY=1.3
-    )
-    cloud = cv2.GaussianBlur(
-        rng.standard_normal(shape).astype(np.float32), (0, 0), 60.0, sigmaY=25.0
-    )
+    grain = _smooth_noise(rng, shape, (1, 16), (1.3, 2.8))
+    cloud = _smooth_noise(rng, shape, (8, 16), (3.0, 3.8))
     rows = np.arange(shape[0]) / TEXELS_PER_M
     plank = (rows / PLANK_M).astype(int)
     tone = rng.uniform(-0.022, 0.022, plank.max() + 1)[plank]
     seam = np.abs(rows / PLANK_M - np.rint(rows / PLANK_M)) * PLANK_M < 0.0007
-    texture = 1.0 + 0.020 * grain / grain.std() + 0.018 * cloud / cloud.std()
+    texture = 1.0 + 0.020 * grain + 0.018 * cloud
     texture += (tone - 0.16 * seam)[:, None]
     column = ((y - TABLE_Y_M[0]) * TEXELS_PER_M).astype(np.float32)
     row = ((x - TABLE_X_M[0]) * TEXELS_PER_M).astype(np.float32)
@@ -76,13 +72,28 @@ def _wood(x: Array, y: Array) -> Array:
         texture.astype(np.float32), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     uneven = 1.05 - 0.55 * ((x - 0.22) ** 2 + (y - 0.10) ** 2)
-    result: Array = np.asarray(SURROUNDINGS["table"]) * (found * uneven)[..., None]
+    shade: Array = np.asarray(found) * uneven
+    result: Array = np.asarray(SURROUNDINGS["table"]) * shade[..., None]
+    return result
+
+
+def _smooth_noise(
+    rng: np.random.RandomState,
+    shape: Tuple[int, int],
+    cell: Tuple[int, int],
+    sigma: Tuple[float, float],
+) -> Array:
+    """Return noise (shape) of sd 1, blurred by ``sigma`` cells of ``cell`` texels each."""
+    small = rng.standard_normal((shape[0] // cell[0], shape[1] // cell[1])).astype(np.float32)
+    soft = np.asarray(cv2.GaussianBlur(small, (0, 0), sigma[1], sigmaY=sigma[0]))
+    grown = cv2.resize(soft / soft.std(), shape[::-1], interpolation=cv2.INTER_CUBIC)
+    result: Array = np.asarray(grown)
     return result
 
 
 def _carpet(points: Array) -> Array:
     rng = np.random.RandomState(_SEED + 1)
     speckle = rng.standard_normal(points.shape[:2]).astype(np.float32)
-    shade = 0.86 + 0.05 * cv2.GaussianBlur(speckle, (0, 0), 1.2)
+    shade: Array = 0.86 + 0.05 * np.asarray(cv2.GaussianBlur(speckle, (0, 0), 1.2))
     result: Array = np.asarray(SURROUNDINGS["floor"]) * shade[..., None]
     return result

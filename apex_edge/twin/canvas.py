@@ -189,7 +189,7 @@ class Canvas:
             mask = np.zeros(shape, np.uint8)
             cv2.fillConvexPoly(mask, _fixed_point(hull + shift), 255, cv2.LINE_AA, SHIFT_BITS)
             cv2.accumulate(mask, total)
-        return cv2.convertScaleAbs(total, alpha=1.0 / len(shifts))
+        return np.asarray(cv2.convertScaleAbs(total, alpha=1.0 / len(shifts)))
 
 
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))

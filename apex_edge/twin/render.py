@@ -1,5 +1,6 @@
 """The twin's eye: a world's state in, a colour picture and a depth map out."""
 
+from functools import lru_cache
 from typing import Tuple
 
 import numpy as np
@@ -14,6 +15,10 @@ from apex_edge.types import Array, CameraModel
 Layer = Tuple[Array, Array, Array]
 """Colour (h, w, 3) uint8, depth (h, w) float32 in m, bare table (h, w) 0/255."""
 
+CameraKey = Tuple[
+    Tuple[int, int], Tuple[float, float, float, float], Tuple[float, ...], Tuple[float, ...]
+]
+
 
 class Renderer:
     """Draws states of a world as one calibrated RGB-D camera sees them. Source: ours.
@@ -27,9 +32,8 @@ class Renderer:
         self, camera: CameraModel, config: SensorConfig, rng: np.random.RandomState
     ) -> None:
         self.camera = camera
-        self._lens = Lens(camera)
+        self._lens, self._backdrop = _scenery(_camera_key(camera))
         self._sensor = Sensor(config, (camera.height_px, camera.width_px), rng)
-        self._backdrop: Layer = paint_backdrop(self._lens)
         self._still_key: Tuple[bytes, ...] = ()
         self._still: Layer = self._backdrop
 
@@ -65,6 +69,25 @@ def render(
 ) -> Tuple[Array, Array]:
     """Draw one picture of a world as it is now; for a sequence keep a ``Renderer``."""
     return Renderer(camera, config, rng).render(world.state())
+
+
+def _camera_key(camera: CameraModel) -> CameraKey:
+    size = camera.width_px, camera.height_px
+    optics = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
+    pose = np.asarray(camera.table_from_cam, dtype=np.float64).ravel()
+    return size, optics, tuple(np.ravel(camera.dist).tolist()), tuple(pose.tolist())
+
+
+@lru_cache(maxsize=4)
+def _scenery(key: CameraKey) -> Tuple[Lens, Layer]:
+    """Return what depends on the camera alone; it costs as much as thirty pictures."""
+    size, optics, dist, pose = key
+    camera = CameraModel(*size, *optics, np.array(dist), np.array(pose).reshape(4, 4))
+    lens = Lens(camera)
+    backdrop = paint_backdrop(lens)
+    for part in backdrop:
+        part.setflags(write=False)
+    return lens, backdrop
 
 
 def _split(state: WorldState) -> Tuple[WorldState, WorldState]:

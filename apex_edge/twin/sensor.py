@@ -44,11 +44,13 @@ class Sensor:
         grain = rng.standard_normal((height, width, 3)) * config.colour_noise
         self._grain: Array = np.rint(grain).astype(np.int16)
         # Stereo and structured light smear their noise over neighbouring pixels.
-        rough = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 0.8)
+        rough = cv2.GaussianBlur(
+            rng.standard_normal((height, width)).astype(np.float32), (0, 0), 0.8
+        )
         scale = 1000.0 * config.depth_noise_m / 0.7**2
-        self._ripple: Array = (rough / rough.std() * scale).astype(np.float32)
-        patchy = cv2.GaussianBlur(rng.uniform(size=(height, width)), (0, 0), 0.7)
-        level = np.quantile(patchy, config.edge_holes)
+        self._ripple: Array = rough * np.float32(scale / float(rough.std()))
+        patchy = cv2.GaussianBlur(rng.uniform(size=(height, width)).astype(np.float32), (0, 0), 0.7)
+        level = np.percentile(patchy, 100.0 * config.edge_holes)
         self._patches: Array = (patchy < level).astype(np.uint8)
 
     def expose(self, colour: Array) -> Array:
