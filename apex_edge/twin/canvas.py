@@ -165,18 +165,22 @@ class Canvas:
         if x0 >= x1 or y0 >= y1:
             return
         alpha = self._coverage(hull - (x0, y0), (y1 - y0, x1 - x0), shifts)
-        rows, columns = np.nonzero(alpha)
-        at = rows * width + (columns + (y0 * width + x0))
-        depth, shade = surface(self.lens.slope_x[at], self.lens.slope_y[at])
-        is_front = depth < self._depth_row[at]
-        at, depth = at[is_front], depth[is_front]
-        cover = alpha[rows, columns][is_front]
-        weight = (cover * np.float32(1.0 / 255.0))[:, None]
-        colour = shade[is_front][:, None] * np.asarray(bgr, dtype=np.float32)
-        mixed = self._colour_rows[at] * (1.0 - weight) + weight * colour
-        self._colour_rows[at] = np.minimum(mixed, 255.0)
-        is_solid = cover > 127
-        self._depth_row[at[is_solid]] = depth[is_solid]
+        flat = alpha.reshape(-1)
+        inside = np.flatnonzero(flat)
+        at = inside + (inside // (x1 - x0)) * (width - (x1 - x0)) + (y0 * width + x0)
+        depth, shade = surface(self.lens.slope_x.take(at), self.lens.slope_y.take(at))
+        front = np.flatnonzero(depth < self._depth_row.take(at))
+        if len(front) < len(at):
+            at, inside, depth, shade = (part.take(front) for part in (at, inside, depth, shade))
+        cover = flat.take(inside)
+        colour = np.minimum(shade[:, None] * np.asarray(bgr, dtype=np.float32), 255.0)
+        soft = np.flatnonzero(cover < 255)
+        weight = (cover.take(soft) * np.float32(1.0 / 255.0))[:, None]
+        under = self._colour_rows.take(at.take(soft), axis=0)
+        colour[soft] = under * (1.0 - weight) + weight * colour.take(soft, axis=0)
+        self._colour_rows[at] = colour
+        solid = np.flatnonzero(cover > 127)
+        self._depth_row[at.take(solid)] = depth.take(solid)
 
     def _coverage(self, hull: Array, shape: Tuple[int, int], shifts: Optional[Array]) -> Array:
         """Return how much of each pixel of a window the outline covers, 0..255."""

@@ -62,7 +62,8 @@ def test_drops_leave_gaps_and_repeats_show_the_frame_before():
     stats = camera.stats
     assert stats.delivered == len(frames)
     assert stats.grabbed == stats.delivered + stats.dropped
-    assert stats.grabbed == frames[-1].seq + 1 + (stats.grabbed - 1 - frames[-1].seq)
+    # 6 s at 30 Hz; jitter may push the last capture past the end of the scene.
+    assert stats.grabbed in (180, 181)
     assert 0.1 < stats.dropped / stats.grabbed < 0.3
     assert stats.repeated == sum(frame.is_repeated for frame in frames)
     assert 0.1 < stats.repeated / stats.grabbed < 0.3
