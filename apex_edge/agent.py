@@ -1,8 +1,8 @@
 """The agent: wire the stages, one step a frame (algorithm 1 of the paper, on a table).
 
-``step`` is deterministic: it reads no clock but the one handed in and keeps its state in its stages.
-``run`` is the thin loop around it, and the only place that catches everything: whatever fails,
-the arm is stopped first.
+``step`` is deterministic: it reads no clock but the one handed in and keeps its state in its
+stages. ``run`` is the thin loop around it, and the only place that catches everything: whatever
+fails, the arm is stopped first.
 """
 
 import logging
@@ -22,10 +22,10 @@ from apex_edge.planners.base import Planner, PlanRequest
 from apex_edge.simulate.base import PhysicsSim, SimulateConfig, problem_from
 from apex_edge.triggers.base import Trigger
 from apex_edge.types import (
-    Array,
     ArmAck,
     ArmCommand,
     ArmState,
+    Array,
     Candidates,
     Decision,
     DifferenceGraph,
@@ -161,9 +161,7 @@ class Agent:
             return None
         return graph.difference(older, newer)
 
-    def _most_urgent(
-        self, hazards: Optional[HazardScores], tracks: Tracks
-    ) -> Optional[OpenHazard]:
+    def _most_urgent(self, hazards: Optional[HazardScores], tracks: Tracks) -> Optional[OpenHazard]:
         """Return the alarm with the earliest pessimistic contact about a protected object."""
         if hazards is None or not hazards.is_fired.any():
             return None

@@ -1,22 +1,26 @@
 """Build an agent from settings: the one place that knows every stage by name."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Optional, Tuple, Union
+from typing import Callable, Optional, Tuple, Union
 
 from apex_edge import config as settings
 from apex_edge import plugins
 from apex_edge.act import Actuator
 from apex_edge.agent import Agent, AgentConfig, Parts
-from apex_edge.cameras.base import CameraConfig
-from apex_edge.cameras.twin import TwinConfig
+from apex_edge.cameras.base import Camera, CameraConfig
+from apex_edge.cameras.twin import TwinCamera, TwinConfig
 from apex_edge.config import setting
 from apex_edge.decide import DecideConfig, Decider
+from apex_edge.errors import ConfigError
 from apex_edge.perception import ColourTable, Perception, PerceptionConfig
 from apex_edge.planners.base import Planner, PlannerConfig
 from apex_edge.simulate.base import PhysicsSim, SimulateConfig
 from apex_edge.simulate.candidates import candidate_grid
 from apex_edge.triggers.base import Trigger, TriggerConfig
+from apex_edge.twin.scenarios import make
+from apex_edge.twin.scene import Scenario
+from apex_edge.twin.world import TwinWorld
 from apex_edge.types import Candidates
 from firmware_bridge.kinematics import ArmModel
 
@@ -33,7 +37,7 @@ class ArmConfig:
 class ColoursConfig:
     """Section ``[colours]``: what the objects look like."""
 
-    files: Tuple[str, ...] = setting((), "colour files of `apex calibrate colour`; none: the twin's")
+    files: Tuple[str, ...] = setting((), "files of `apex calibrate colour`; none: the twin's")
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,27 @@ def load_colours(config: ColoursConfig) -> ColourTable:
     return ColourTable.load(*config.files)
 
 
+def twin_scene(path: str) -> Scenario:
+    """Make the scene that ``KIND:SEED`` names; an empty text is ``collision:1``.
+
+    Raises
+    ------
+    ConfigError : not of that form. InputError : no such kind.
+    """
+    kind, _, seed = (path or "collision:1").partition(":")
+    if not seed.isdecimal():
+        raise ConfigError(f"camera.path = {path!r}: a twin's scene is KIND:SEED, as collision:1")
+    return make(kind, int(seed))
+
+
+def open_camera(config: ApexConfig, clock: Callable[[], float]) -> Camera:
+    """Make the camera that the settings name; a twin's runs in real time, with no arm in sight."""
+    if config.camera.type == "twin":
+        return TwinCamera(config.twin, TwinWorld(twin_scene(config.camera.path)), clock=clock)
+    camera: Camera = plugins.load("cameras", config.camera.type)(config.camera)
+    return camera
+
+
 @dataclass(frozen=True)
 class Kit:
     """What every run of one settings file shares: arm data, candidates, colours."""
@@ -116,14 +141,3 @@ class Kit:
             actuator=actuator,
         )
         return Agent(config.agent, parts, clock)
-
-
-def as_plain(config: ApexConfig) -> Dict[str, Dict[str, Any]]:
-    """Return the settings as plain values, for the head of a recording; holds no secret."""
-    return {
-        section.name: {
-            key.name: getattr(getattr(config, section.name), key.name)
-            for key in fields(getattr(config, section.name))
-        }
-        for section in fields(config)
-    }

@@ -204,42 +204,32 @@ class ScenePlayer:
     def _play_fast(self, world: TwinWorld, watch: SceneWatch, on_step: OnStep) -> TwinCamera:
         """Step the world from capture to capture; nothing depends on the wall clock."""
 
-        def clock() -> float:
-            return world.t_s
+        def on_world(_: TwinWorld, dt_s: float) -> None:
+            points_m = rig.drive(dt_s)
+            world.set_arm(points_m)
+            watch.see_tip(world.t_s, points_m[-1])
 
         kit = self._kit_for(world.scenario)
-        with SimulatedArm(kit.arm, clock) as rig:
-
-            def on_world(_: TwinWorld, dt_s: float) -> None:
-                points_m = rig.drive(dt_s)
-                world.set_arm(points_m)
-                watch.see_tip(world.t_s, points_m[-1])
-
-            camera = TwinCamera(kit.config.twin, world, on_world)
-            planner = ChargedPlanner(self._planner(clock, world.scenario.seed), clock)
+        camera = TwinCamera(kit.config.twin, world, on_world)
+        inner = self._planner(camera.now_s, world.scenario.seed)
+        with SimulatedArm(kit.arm, camera.now_s) as rig:
+            planner = ChargedPlanner(inner, camera.now_s)
             self._watch_over(kit, rig, camera, watch, planner, on_step)
         return camera
 
     def _play_live(self, world: TwinWorld, watch: SceneWatch, on_step: OnStep) -> TwinCamera:
         """Let the world run by the wall clock in threads of its own."""
-        started_s = time.monotonic()
 
-        def clock() -> float:
-            return time.monotonic() - started_s
+        def on_world(_: TwinWorld, dt_s: float) -> None:
+            points_m = rig.advance(dt_s)
+            world.set_arm(points_m)
+            watch.see_tip(world.t_s, points_m[-1])
 
         kit = self._kit_for(world.scenario)
-        with SimulatedArm(kit.arm, clock) as rig:
-
-            def on_world(_: TwinWorld, dt_s: float) -> None:
-                points_m = rig.advance(dt_s)
-                world.set_arm(points_m)
-                watch.see_tip(world.t_s, points_m[-1])
-
-            camera = TwinCamera(kit.config.twin, world, on_world, time.monotonic)
-            planner = self._planner(clock, world.scenario.seed)
-            started_s = time.monotonic()
-            with Pacer(rig.session.tick, TICK_S):
-                self._watch_over(kit, rig, camera, watch, planner, on_step)
+        camera = TwinCamera(kit.config.twin, world, on_world, time.monotonic)
+        planner = self._planner(camera.now_s, world.scenario.seed)
+        with SimulatedArm(kit.arm, camera.now_s) as rig, Pacer(rig.session.tick, TICK_S):
+            self._watch_over(kit, rig, camera, watch, planner, on_step)
         return camera
 
     def _watch_over(
@@ -264,7 +254,7 @@ class ScenePlayer:
             run(agent, camera, seen, self._is_over(camera.world))
 
     def _is_over(self, world: TwinWorld) -> Callable[[], bool]:
-        """Return a test for the end: the scene's time is up, or all has been at rest for a while."""
+        """Return a test for the end: the time is up, or all has been at rest for a while."""
         moved_s = [0.0]
 
         def is_over() -> bool:

@@ -97,7 +97,7 @@ def _convert(spec: "Field[Any]", hint: Any, value: Any, where: str) -> Any:
 
 def _matches(hint: Any, value: Any) -> bool:
     """Say whether a TOML value fits a type, without cattrs' kind coercions ("5" -> 5)."""
-    arguments = getattr(hint, "__args__", ())
+    arguments: Tuple[Any, ...] = getattr(hint, "__args__", ())
     origin = getattr(hint, "__origin__", None)
     if origin is Union:
         return any(_matches(option, value) for option in arguments if option is not type(None))

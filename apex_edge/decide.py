@@ -95,6 +95,7 @@ class Decider:
         self.pair: Optional[Tuple[int, int]] = None
         self.snapshot = -1
         self.index = -1
+        self.target_m: Optional[Tuple[float, float, float]] = None
         self.arrives_s = float("inf")
         self._last_alarm_s = float("-inf")
         self._n_faults = 0
@@ -142,10 +143,10 @@ class Decider:
 
     def _does_post_serve(self, now: Situation) -> bool:
         """Say whether an arm that already stands somewhere stops the mover from there."""
-        if self.index < 0 or now.rollouts is None:
+        rollouts = now.rollouts
+        if self.index < 0 or rollouts is None:
             return False
-        is_stopped = now.rollouts.is_blocked[self.index] and not now.rollouts.is_collision[self.index]
-        return bool(is_stopped)
+        return bool(rollouts.is_blocked[self.index] and not rollouts.is_collision[self.index])
 
     def _close(self, now: Situation) -> Decision:
         """End a watch whose alarm went away; an arm that still stands guard keeps standing."""
@@ -157,9 +158,8 @@ class Decider:
 
     def _stand(self, now: Situation) -> Decision:
         if now.t_s - self._last_alarm_s > self._config.hold_s:
-            decision = self._decision(now, "return", reason="no alarm any more")
             self.reset()
-            return decision
+            return self._decision(now, "return", reason="no alarm any more")
         verdict = self._judge(now)
         if verdict == "accepted":
             assert now.proposal is not None
@@ -211,6 +211,8 @@ class Decider:
         action = "redirect" if self.index >= 0 else "intervene"
         self.phase = Phase.STANDING
         self.index = index
+        x_m, y_m, z_m = (float(v) for v in now.rollouts.candidates.tip_m[index])
+        self.target_m = (x_m, y_m, z_m)
         self.arrives_s = now.t_s + float(now.rollouts.arrival_s[index])
         self._n_faults = 0
         return self._decision(now, action, source, verdict)
@@ -231,10 +233,6 @@ class Decider:
         verdict: str = "",
         reason: str = "",
     ) -> Decision:
-        target_m = None
-        if action in ("intervene", "redirect") and now.rollouts is not None:
-            x_m, y_m, z_m = (float(v) for v in now.rollouts.candidates.tip_m[self.index])
-            target_m = (x_m, y_m, z_m)
         mover_id, target_id = self.pair or (-1, -1)
         return Decision(
             seq=now.seq,
@@ -242,7 +240,7 @@ class Decider:
             action=action,
             source=source,
             index=self.index,
-            target_m=target_m,
+            target_m=self.target_m,
             mover_id=mover_id,
             target_id=target_id,
             deadline_s=self._deadline_s(now) if self.pair is not None else float("nan"),

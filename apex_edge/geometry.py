@@ -1,4 +1,4 @@
-"""Pinhole geometry: table point <-> pixel, in one place for the twin, perception and calibration."""
+"""Pinhole geometry: table point <-> pixel, in one place for all who need it."""
 
 from typing import Tuple
 
@@ -50,7 +50,11 @@ def project(camera: CameraModel, points_m: Array) -> Tuple[Array, Array]:
     front = depth > 1e-6
     if front.any():
         found, _ = cv2.projectPoints(
-            cam[front].reshape(-1, 1, 3), np.zeros(3), np.zeros(3), camera_matrix(camera), camera.dist
+            cam[front].reshape(-1, 1, 3),
+            np.zeros(3),
+            np.zeros(3),
+            camera_matrix(camera),
+            camera.dist,
         )
         pixels[front] = found.reshape(-1, 2)
     return pixels, depth

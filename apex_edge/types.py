@@ -1,6 +1,7 @@
 """The values that flow, from photon to servo byte.
 
-``Frame -> Detections -> Tracks -> SceneGraph -> HazardScores -> Rollouts -> Proposal -> Decision -> ArmCommand -> ArmAck``
+``Frame -> Detections -> Tracks -> SceneGraph -> HazardScores -> Rollouts -> Proposal ->
+Decision -> ArmCommand -> ArmAck``
 
 Frozen dataclasses, struct of arrays, no logic and no I/O. Each carries ``t_s``, the monotonic
 capture time of the frame it stems from, and ``seq``, that frame's number, so latency can be
@@ -45,7 +46,10 @@ class CameraModel:
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture: colour (h, w, 3) uint8 BGR, depth (h, w) uint16 in mm (0 hole, 65535 saturated)."""
+    """One picture: colour (h, w, 3) uint8 BGR, depth (h, w) uint16 in mm.
+
+    A depth of 0 is a hole, 65535 is saturated; neither is a distance.
+    """
 
     seq: int
     t_s: float
@@ -81,9 +85,10 @@ class Tracks:
 
     ``track_id (n,)`` int64, ``pos_m (n, 3)``, ``vel_m_s (n, 3)``, ``acc_m_s2 (n, 3)``,
     ``cov (n, 6, 6)`` of position and velocity, ``radius_m (n,)``, ``n_samples (n,)`` behind the
-    motion fit, ``status (n,)`` of TrackStatus, ``age_s (n,)`` since last seen, ``centre_px (n, 2)``,
-    ``area_px2 (n,)``, ``is_manoeuvre (n,)`` when the motion just changed. Without a calibration the
-    metric fields are NaN. ``smooth_m (n, 3)`` is the paper's mean of the last five positions.
+    motion fit, ``status (n,)`` of TrackStatus, ``age_s (n,)`` since last seen,
+    ``centre_px (n, 2)``, ``area_px2 (n,)``, ``is_manoeuvre (n,)`` when the motion just
+    changed. Without a calibration the metric fields are NaN. ``smooth_m (n, 3)`` is the paper's
+    mean of the last five positions.
     """
 
     seq: int
@@ -236,9 +241,10 @@ class Decision:
     """What is done about the newest frame, and on what proof.
 
     ``action``: "none", "watch" (hazard open, deadline not yet), "intervene", "redirect", "hold",
-    "return". ``source``: "reflex", "llm" or "none". ``deadline_s`` is the latest start of the arm
-    on the capture clock (NaN when no hazard is open). ``verdict`` says what became of a planner's
-    proposal ("accepted", "late", "stale", "unsafe", ... or "").
+    "return"; ``index`` and ``target_m`` say where the arm was sent. ``source``: "reflex", "llm" or
+    "none". ``deadline_s`` is the latest start of the arm on the capture clock (NaN when no hazard
+    is open). ``verdict`` says what became of a planner's proposal ("accepted", "stale",
+    "refused: unsafe", ... or "").
     """
 
     seq: int
@@ -258,7 +264,10 @@ class Decision:
 
 @dataclass(frozen=True)
 class ArmState:
-    """Where the arm is: ``joints_rad (k,)``, ``tip_m (3,)``; ``source`` "commanded" or "measured"."""
+    """Where the arm is: ``joints_rad (k,)`` and ``tip_m (3,)``.
+
+    ``source`` is "commanded" for an arm that cannot measure itself, else "measured".
+    """
 
     t_s: float
     joints_rad: Array

@@ -1,0 +1,105 @@
+"""The folder a run leaves behind: decisions, tracks, annotated video, recording and pictures."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Mapping, Optional, Type, Union
+
+import cv2
+
+from apex_edge.errors import RecordingError
+from apex_edge.record.decision_log import DecisionLog
+from apex_edge.record.mcap_io import RecordingWriter
+from apex_edge.record.story import SceneStory
+from apex_edge.record.summary import SceneNotes
+from apex_edge.record.tracks_csv import TracksCsv
+from apex_edge.record.video import AnnotatedVideo
+from apex_edge.types import Array, Step
+
+
+class RunOutputs:
+    """Write all that a run leaves into one folder; a context manager.
+
+    Each file appears only when the run ended well; after an error nothing half written is left
+    (a recording stays as ``.part``, readable up to the last chunk). ``notes`` is what a report
+    needs, once the context was left.
+
+    Parameters
+    ----------
+    folder : made when missing.
+    fps : of the annotated video.
+    metadata : remembered in the recording; None means no recording.
+    video_suffix : ``.mp4`` (fast, small) or ``.webm`` (plays in browsers).
+
+    Raises
+    ------
+    RecordingError : the folder or a file in it cannot be written.
+    """
+
+    def __init__(
+        self,
+        folder: Union[str, Path],
+        fps: float,
+        metadata: Optional[Mapping[str, str]] = None,
+        video_suffix: str = ".mp4",
+    ) -> None:
+        self.folder = Path(folder)
+        self.notes: Optional[SceneNotes] = None
+        self._metadata = metadata
+        self._stack = ExitStack()
+        self._story = SceneStory()
+        self._log: Optional[DecisionLog] = None
+        self._tracks: Optional[TracksCsv] = None
+        self._recording: Optional[RecordingWriter] = None
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError(f"{self.folder}: cannot make the folder: {error}") from error
+        self.video = AnnotatedVideo(self.folder / f"annotated{video_suffix}", fps)
+
+    def __enter__(self) -> "RunOutputs":
+        """Open the files that do not depend on the first frame."""
+        self._log = self._stack.enter_context(DecisionLog(self.folder / "decisions.jsonl"))
+        self._stack.enter_context(self.video)
+        if self._metadata is not None:
+            place = self.folder / "recording.mcap"
+            self._recording = self._stack.enter_context(RecordingWriter(place, self._metadata))
+        return self
+
+    def __exit__(
+        self,
+        kind: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        trace: Optional[TracebackType],
+    ) -> None:
+        """Complete or abandon every file, then draw the pictures of a run that ended well."""
+        self._stack.__exit__(kind, error, trace)
+        if kind is None:
+            self.notes = self._story.notes()
+            self._draw("montage.png", self.notes.montage)
+            self._draw("safe_points.png", self.notes.safe_points)
+
+    def write(self, step: Step) -> None:
+        """Write one step; without its picture only the logs get it.
+
+        Raises
+        ------
+        RecordingError : the disk refuses it.
+        """
+        assert self._log is not None
+        if self._tracks is None:
+            is_calibrated = step.frame.camera is not None
+            tracks = TracksCsv(self.folder / "tracks.csv", is_calibrated)
+            self._tracks = self._stack.enter_context(tracks)
+        self._log.write(step)
+        self._tracks.write(step)
+        self._story.write(step)
+        if not step.frame.colour_bgr.size:
+            return
+        self.video.write(step)
+        if self._recording is not None:
+            self._recording.write(step)
+
+    def _draw(self, name: str, picture: Optional[Array]) -> None:
+        if picture is not None and not cv2.imwrite(str(self.folder / name), picture):
+            raise RecordingError(f"{self.folder / name}: cannot write the picture")
