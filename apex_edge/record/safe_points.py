@@ -1,6 +1,6 @@
 """The simulated interventions from above: which points are safe, and why the others are not."""
 
-from typing import List, Optional, Tuple
+from typing import Any, List, Tuple
 
 import cv2
 import numpy as np
@@ -9,11 +9,13 @@ from apex_edge.record.canvas import BEST, DANGER, INK, PANEL, Bgr, Canvas, name_
 from apex_edge.record.draw import N_BEST, moving_path
 from apex_edge.types import Array, Rollouts, Tracks, TrackStatus
 
-SIZE_PX = (1280, 900)
-X_RANGE_M = (-0.06, 0.42)
+PLAN_PX = (1280, 1000)
+LEGEND_PX = 104
+X_RANGE_M = (-0.05, 0.45)
 PAPER: Bgr = (252, 251, 250)
 TABLE: Bgr = (244, 241, 238)
 GRID: Bgr = (226, 222, 218)
+REACH: Bgr = (200, 170, 130)
 TEXT: Bgr = (70, 62, 56)
 
 LATE: Bgr = (60, 165, 240)
@@ -25,7 +27,7 @@ OUTCOMES: Tuple[Tuple[str, Bgr], ...] = (
     ("safe (darker is better)", SAFE_HIGH),
     ("does not stop the object", USELESS),
     ("arm would be too late", LATE),
-    ("safe for the target, too near something else", TOUCHES),
+    ("too near another object", TOUCHES),
 )
 
 
@@ -48,17 +50,17 @@ def draw_safe_points(rollouts: Rollouts, tracks: Tracks, chosen: int = -1) -> Ar
 
     Returns
     -------
-    (900, 1280, 3) uint8 BGR; x of the table to the right, y up.
+    (1104, 1280, 3) uint8 BGR; x of the table to the right, y up.
     """
-    width, height = SIZE_PX
-    picture = np.empty((height, width, 3), dtype=np.uint8)
+    width, height = PLAN_PX
+    picture = np.empty((height + LEGEND_PX, width, 3), dtype=np.uint8)
     picture[:] = PAPER
-    plan = _Plan(Canvas(picture), width, height)
+    plan = _Plan(Canvas(picture[:height]), width, height)
     plan.ground(rollouts.candidates.tip_m)
     plan.points(rollouts)
     plan.objects(rollouts, tracks)
     plan.best(rollouts, chosen)
-    _legend(plan.canvas, rollouts)
+    _legend(Canvas(picture[height:]), rollouts)
     return picture
 
 
@@ -92,14 +94,8 @@ class _Plan:
         for reach in (radius.min(), radius.max()):
             arc = np.linspace(yaw.min(), yaw.max(), 120)
             bow = self.at(reach * np.column_stack([np.cos(arc), np.sin(arc)]))
-            cv2.polylines(
-                canvas.picture,
-                [np.rint(bow).astype(np.int32)],
-                False,
-                (200, 170, 130),
-                2,
-                cv2.LINE_AA,
-            )
+            curve: Any = [np.rint(bow).astype(np.int32)]
+            cv2.polylines(canvas.picture, curve, False, REACH, 2, cv2.LINE_AA)
         base = self.at(np.zeros((1, 3)))[0]
         canvas.disc(base, 14.0, (120, 108, 98))
         canvas.disc(base, 8.0, (90, 80, 72))
@@ -161,22 +157,20 @@ class _Plan:
 
 
 def _legend(canvas: Canvas, rollouts: Rollouts) -> None:
+    canvas.scale = 1.9
     outcome = outcome_of(rollouts)
-    rows: List[Tuple[str, Optional[Bgr]]] = [
+    rows: List[Tuple[str, Bgr]] = [
         (f"{np.count_nonzero(outcome == i)} {words}", colour)
         for i, (words, colour) in enumerate(OUTCOMES)
         if np.any(outcome == i) or i == 0
     ]
-    rows.append(("best five, as ranked", BEST))
-    title = f"{len(outcome)} interventions simulated"
-    size, step = 12.0, 20.0 * canvas.scale
-    width = max(canvas.text_width(words, size) for words, _ in rows) + 34.0 * canvas.scale
-    height = step * (len(rows) + 1) + 12.0 * canvas.scale
-    left, top = canvas.width - width - 18.0, 18.0
-    canvas.panel((left, top, width, height), (255, 255, 255), 0.9)
-    canvas.text((left + 10.0 * canvas.scale, top + 0.75 * step), title, TEXT, 13.0, is_bold=True)
-    for i, (words, colour) in enumerate(rows, start=1):
-        y = top + step * (i + 0.75)
-        if colour is not None:
-            canvas.disc((left + 14.0 * canvas.scale, y), 4.0, colour)
-        canvas.text((left + 25.0 * canvas.scale, y), words, TEXT, size)
+    rows.append(("best five, ranked; ring: chosen", BEST))
+    left, top = 34.0, 28.0
+    canvas.panel((0, 0, canvas.width, canvas.height), TABLE, 1.0, 0.0)
+    for words, colour in rows:
+        width = canvas.text_width(words, 12.0) + 66.0
+        if left + width > canvas.width:
+            left, top = 34.0, top + 48.0
+        canvas.disc((left, top), 5.0, colour)
+        canvas.text((left + 18.0, top), words, TEXT, 12.0)
+        left += width
