@@ -44,7 +44,7 @@ def latency_chart(spreads: Sequence[Spread], limit_ms: float) -> str:
     known = [s for s in spreads if s.n]
     if not known:
         return ""
-    left, right, row = 156, 120, 28
+    left, right, row = 262, 40, 28
     top_ms = 1.05 * max([s.p95_ms for s in known] + [limit_ms])
     height = row * len(known) + 34
     scale = (WIDTH - left - right) / top_ms
@@ -53,12 +53,12 @@ def latency_chart(spreads: Sequence[Spread], limit_ms: float) -> str:
         y = 8 + i * row
         median, p95 = max(1.0, item.median_ms * scale), max(1.0, item.p95_ms * scale)
         parts += [
-            f'<text x="{left - 10}" y="{y + 14}" text-anchor="end">{esc(item.name)}</text>',
+            f'<text x="136" y="{y + 14}" text-anchor="end">{esc(item.name)}</text>',
             f'<rect x="{left}" y="{y + 3}" width="{p95:.1f}" height="14" rx="3" '
             'fill="var(--bar2)"/>',
             f'<rect x="{left}" y="{y + 3}" width="{median:.1f}" height="14" rx="3" '
             'fill="var(--bar)"/>',
-            f'<text x="{WIDTH - 4}" y="{y + 14}" text-anchor="end">{_ms(item.median_ms)}'
+            f'<text x="{left - 12}" y="{y + 14}" text-anchor="end">{_ms(item.median_ms)}'
             f'<tspan class="dim"> / {_ms(item.p95_ms)} ms</tspan></text>',
         ]
     x, base = left + limit_ms * scale, row * len(known) + 8

@@ -86,8 +86,8 @@ class SceneResult:
 
     @property
     def margin_s(self) -> float:
-        """Return the time between the arm's arrival and the contact that did not come (or NaN)."""
-        return self.t_free_contact_s - self.t_arrived_s
+        """Return the time from the arm's arrival to the contact that did not come (or NaN)."""
+        return math.nan if self.is_collision else self.t_free_contact_s - self.t_arrived_s
 
 
 @dataclass(frozen=True)
