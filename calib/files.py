@@ -1,4 +1,4 @@
-"""Pictures in, results out: read one picture of a file or video, write files whole or not at all."""
+"""Pictures in, results out: one picture of a file or video; files written whole or not at all."""
 
 from pathlib import Path
 from typing import Any, Dict, List, Tuple

@@ -19,6 +19,7 @@ _KERNEL = np.ones((3, 3), np.uint8)
 _FRINGE_SHARE = 0.15  # a region must keep this much after losing its rim
 _FRAGMENT_SHARE = 0.3  # a piece this small beside a larger one is part of it
 _FRAGMENT_GAP_PX = 3
+_INLAY_SHARE = 0.1
 _SEARCH_PAD = 2  # coarse cells around a coarse box
 
 
@@ -82,7 +83,7 @@ def find(
     bgr: Array, table: ColourTable, windows: Sequence[Box], config: PerceptionConfig
 ) -> List[Blob]:
     """Return the regions inside disjoint windows, by colour and then by falling area."""
-    shape = bgr.shape[:2]
+    shape = (bgr.shape[0], bgr.shape[1])
     blobs: List[Blob] = []
     for box in windows:
         x0, y0, x1, y1 = box
@@ -99,6 +100,7 @@ def find(
         for blob in blobs
         if config.min_relative_area * largest[blob.label] <= blob.area_px2 <= limit
     ]
+    kept = [blob for blob in kept if not any(_is_inlay(blob, other) for other in kept)]
     return sorted(kept, key=lambda blob: (blob.label, -blob.area_px2, blob.box_px))
 
 
@@ -175,6 +177,15 @@ def _measure(
         core=core,
         origin_px=(x0, y0),
     )
+
+
+def _is_inlay(blob: Blob, other: Blob) -> bool:
+    """Say whether a blob is only a highlight or a shaded patch within a much larger one."""
+    if blob.area_px2 > _INLAY_SHARE * other.area_px2:
+        return False
+    x, y, w, h = blob.box_px
+    left, top, width, height = other.box_px
+    return left <= x and top <= y and x + w <= left + width and y + h <= top + height
 
 
 def _overlap(a: Box, b: Box, gap: int) -> bool:

@@ -20,7 +20,11 @@ _SATURATED = 65535
 _MAX_POINTS = 250
 _MIN_POINTS = 12
 _LOW = 0.05
-_TOP = 0.80  # inside a block's top face without its noise tail; 0.94 of a ball's height
+_TOP = 0.80  # inside a block's top face, without its noise tail
+# A ball's visible surface is a dome, narrow at the top: that tells it from a block. Measured on
+# 160 balls and 195 blocks of the twin: top / extent 1.19..1.40 against 1.00..1.06.
+_ROUND_TALL, _ROUND_DOME = 1.12, 0.945
+_ROUND_TOP = 0.943  # of a ball's height is reached by the top share of its visible surface
 _ANGLES = np.deg2rad(np.arange(0.0, 180.0, 15.0))
 _DIRECTIONS = np.vstack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _EXTENT = 0.96  # of a side lies between the 3rd and 97th percentile
@@ -98,13 +102,17 @@ def _from_depth(
     middle = _median(seen.depth_m)
     pixel_m = middle / camera.fx_px
     radius = _half_extent(seen.points_m[:, :2]) + pixel_m
+    heights = np.sort(seen.points_m[:, 2])
+    low, mid, top, peak = (float(heights[int(share * n)]) for share in (_LOW, 0.6, _TOP, 0.9))
+    height = top
+    if top > _ROUND_TALL * 2.0 * radius and mid < _ROUND_DOME * peak:
+        height = top / _ROUND_TOP
+        radius = 0.5 * height
     if not radius <= config.max_radius_m:
         return None
-    heights = np.sort(seen.points_m[:, 2])
-    low, top = float(heights[int(_LOW * n)]), float(heights[int(_TOP * n)])
     # A ball's outline reaches down to 0.4 radii above the table, a block's to the table itself.
     is_standing = ray[2] < -0.2 and top > 0.2 * radius and low < 0.75 * top
-    reach = (0.5 * top - eye[2]) / ray[2] if is_standing else middle + _CENTRE_DEPTH * radius
+    reach = (0.5 * height - eye[2]) / ray[2] if is_standing else middle + _CENTRE_DEPTH * radius
     spread = 1.4826 * _median(np.abs(seen.depth_m - middle))
     sd = float(np.hypot(config.noise_px * pixel_m, spread / np.sqrt(n)))
     bias = config.bias_m if is_standing else max(config.bias_m, 0.3 * radius)

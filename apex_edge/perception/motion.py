@@ -22,9 +22,12 @@ from apex_edge.types import Array
 PAPER_WINDOW = 5
 _GATE_SHARE = {1: 1.0, 2: 1.21, 3: 1.38}  # same probability as one axis at 4 sigma
 _CURVED = {1: 9.0, 2: 11.8, 3: 14.2}  # chi-square of curvature that one in 370 lines reaches
+_LEAN_SHARE = 0.5  # the newest samples pull the fit, so their residuals are small
+_ONSET = 0.1  # of the stated noise per frame: motion that has just begun goes unnoticed
 _PRIOR_DOF = 4.0  # weight of the stated noise against the residuals
 _MIN_NOISE, _N_NOISE = 8, 15
-_MAX_NOISE_RATIO = 4.0
+_MIN_NOISE_RATIO, _MAX_NOISE_RATIO = 0.3, 4.0
+_SCALE_SD = 0.02  # of the speed: calibration, and a bias that changes along the way
 
 
 class Sample(NamedTuple):
@@ -36,7 +39,11 @@ class Sample(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Polynomial ``beta (p, d)`` about ``t_s`` with ``unit_cov (p, p)`` and ``noise_var (d,)``."""
+    """Polynomial ``beta (p, d)`` about ``t_s`` with ``unit_cov (p, p)`` and ``noise_var (d,)``.
+
+    ``misfit`` is the sum of squared residuals over the expected variance, ``lean`` the same of
+    the sum of the newest three: large when the motion has just begun to leave the fit.
+    """
 
     t_s: float
     beta: Array
@@ -44,6 +51,7 @@ class Fit(NamedTuple):
     noise_var: Array
     misfit: float
     dof: int
+    lean: float
 
 
 class Motion(NamedTuple):
@@ -131,7 +139,7 @@ class MotionEstimator:
         self._state = None
 
     def predict(self, t_s: float) -> Motion:
-        """Return the state at ``t_s``, its covariance growing with the time since the last sighting.
+        """Return the state at ``t_s``, its covariance growing since the last sighting.
 
         Raises
         ------
@@ -156,6 +164,7 @@ class MotionEstimator:
         drift_x, drift_v = 0.5 * rules.acc_sd * unseen * unseen, rules.acc_sd * unseen
         var_x = drift_x**2 + off_x**2 + self._doubt()
         var_xv, var_v = drift_x * drift_v + off_x * off_v, drift_v**2 + off_v**2
+        var_v += _SCALE_SD**2 * float(velocity @ velocity) + self._onset_sd() ** 2
         unit_x, unit_xv, unit_v = (
             sum(p * q * unit[i][j] for i, p in enumerate(left) for j, q in enumerate(right))
             for left, right in ((row_x, row_x), (row_x, row_v), (row_v, row_v))
@@ -171,6 +180,12 @@ class MotionEstimator:
             velocity = np.zeros(dim)
         acc = 2.0 * fit.beta[2] if order == 3 else np.zeros(dim)
         return Motion(np.array(row_x) @ fit.beta, velocity, acc, cov)
+
+    def _onset_sd(self) -> float:
+        """Return the sd of the speed that motion begun within the last frames leaves."""
+        samples = self._window
+        span = samples[-1].t_s - samples[0].t_s
+        return _ONSET * samples[-1].sd * (len(samples) - 1) / span if span > 0.0 else 0.0
 
     def _doubt(self) -> float:
         """Return the variance that sightings outside the gate put on the position."""
@@ -198,8 +213,10 @@ class MotionEstimator:
         return acc * span * span / 12.0, acc * span / 2.0
 
     def _noise_sd(self, sample: Sample) -> float:
-        """Return the noise of a sighting: what is stated, or what the track has shown if larger."""
-        return min(max(sample.sd, self._shown_sd), _MAX_NOISE_RATIO * sample.sd)
+        """Return the noise of a sighting: what the track has shown, within reach of what is stated."""
+        if self._shown_sd <= 0.0:
+            return sample.sd
+        return min(max(_MIN_NOISE_RATIO * sample.sd, self._shown_sd), _MAX_NOISE_RATIO * sample.sd)
 
     def _note_noise(self, sample: Sample) -> None:
         """Keep how far the newest sighting lies off the parabola through the three before it."""
@@ -251,8 +268,10 @@ class MotionEstimator:
         """Fit the window; while it does not hold together, keep only its newer half."""
         while True:
             fit = self._best_fit(self._window)
+            dim = fit.beta.shape[1]
             limit = 1.0 + 3.0 * np.sqrt(2.0 / max(1, fit.dof))
-            if len(self._window) <= 4 or fit.misfit <= limit * fit.dof:
+            holds = fit.misfit <= limit * fit.dof and fit.lean <= _LEAN_SHARE * _CURVED.get(dim, 16.0)
+            if len(self._window) <= 4 or holds:
                 self._fit = fit
                 return
             self._window = self._window[-max(4, len(self._window) // 2) :]
@@ -289,7 +308,9 @@ class MotionEstimator:
         dof = max(0, len(samples) - order)
         noise_var = (_PRIOR_DOF * scale + squares) / (_PRIOR_DOF + dof)
         misfit = float(squares.sum()) / scale
-        return Fit(t0, beta, unit_cov, noise_var, misfit, dof * x.shape[1])
+        newest = residual[-3:].sum(axis=0)
+        lean = float(newest @ newest) / (3.0 * scale)
+        return Fit(t0, beta, unit_cov, noise_var, misfit, dof * x.shape[1], lean)
 
     @staticmethod
     def _speed_guess(t: Array, x: Array) -> float:
