@@ -17,6 +17,7 @@ N_MOMENTS = 6
 MAX_PLAIN = 24
 """Plain moments kept before every second one is let go (a moment is 0.9 MB)."""
 MAX_EVENTS = 60
+MIN_GAP_S = 0.3
 ARRIVED_M = 0.006
 SIMULATED_AFTER_S = 0.3
 ACTS = ("intervene", "redirect")
@@ -141,7 +142,8 @@ class SceneStory:
         end = Moment("end", t_s, _shrunk(annotate(self._last, self._t_zero_s)))
         if "hazard" not in self._key and "intervention" not in self._key:
             return _one_per_time([*spread(self._plain, N_MOMENTS - 1), end])
-        return _one_per_time([*sorted(self._key.values(), key=lambda m: m.t_s), end])[-N_MOMENTS:]
+        told = _one_per_time([*sorted(self._key.values(), key=lambda m: m.t_s), end])[-N_MOMENTS:]
+        return _filled(told, self._plain)
 
 
 def _is_act(step: Step) -> bool:
@@ -165,6 +167,18 @@ def _one_per_time(moments: List[Moment]) -> List[Moment]:
             seen.add(moment.t_s)
             kept.append(moment)
     return kept[::-1]
+
+
+def _filled(told: List[Moment], plain: List[Moment]) -> List[Moment]:
+    """Add plain moments where the story leaves the widest gaps, up to N_MOMENTS."""
+    filled, rest = list(told), list(plain)
+    while len(filled) < N_MOMENTS and rest:
+        gaps = [min(abs(moment.t_s - kept.t_s) for kept in filled) for moment in rest]
+        widest = int(np.argmax(gaps))
+        if gaps[widest] < MIN_GAP_S:
+            break
+        filled.append(rest.pop(widest))
+    return sorted(filled, key=lambda moment: moment.t_s)
 
 
 def _shrunk(picture: Array) -> Array:

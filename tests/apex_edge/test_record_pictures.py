@@ -216,6 +216,15 @@ def test_story_keeps_key_moments_decisions_and_times():
     assert labels == ["start", "hazard", "simulated", "intervention", "arm there", "end"]
 
 
+def test_sparse_story_is_filled_with_moments_between():
+    story = SceneStory()
+    for seq in (0, 25, 60, 90, 120, 150):
+        story.write(grey_step(seq))
+    labels = [m.label for m in story._moments()]
+    assert labels == ["start", "intervention", "hold", "hold", "hold", "end"]
+    assert [m.t_s for m in story._moments()] == sorted(m.t_s for m in story._moments())
+
+
 def test_quiet_scene_has_a_montage_and_no_safe_points():
     story = SceneStory()
     for seq in range(10):
