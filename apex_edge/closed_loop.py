@@ -44,8 +44,8 @@ class SceneTimes:
 class SceneOutcome:
     """How one scene went.
 
-    ``is_collision`` the mover touched the protected object; ``free`` what would have happened with
-    no arm; ``n_moves`` interventions and redirections; ``source`` of the first one.
+    ``is_collision`` the mover touched the protected object; ``is_target_touched`` the arm did;
+    ``free`` what would have happened with no arm; ``n_moves`` interventions and redirections; ``source`` of the first one.
     ``frame_to_command_s`` from capture to the last servo byte of the first command.
     """
 
@@ -54,6 +54,7 @@ class SceneOutcome:
     mode: str
     free: FreeRun
     is_collision: bool
+    is_target_touched: bool
     is_intervention: bool
     n_moves: int
     source: str
@@ -274,6 +275,7 @@ class ScenePlayer:
             mode=scenario.mode,
             free=free_run(scenario),
             is_collision=pair in world.contacts,
+            is_target_touched=scenario.target in world.arm_contacts,
             is_intervention=watch.n_moves > 0,
             n_moves=watch.n_moves,
             source=watch.source,

@@ -23,7 +23,8 @@ class KindCounts:
     """Counts over all scenes of one kind.
 
     ``n_would_collide`` touch with no arm, ``n_eligible`` of these with the mover visibly in motion
-    for at least 1.5 s before; ``n_prevented*`` of these without a collision.
+    for at least 1.5 s before; ``n_prevented*`` of these without a collision; ``n_target_touched``
+    the arm itself touched the protected object.
     """
 
     n_scenes: int
@@ -34,6 +35,7 @@ class KindCounts:
     n_prevented: int
     n_eligible: int
     n_prevented_eligible: int
+    n_target_touched: int
 
 
 def count(outcomes: Sequence[SceneOutcome]) -> KindCounts:
@@ -49,6 +51,7 @@ def count(outcomes: Sequence[SceneOutcome]) -> KindCounts:
         n_prevented=sum(not o.is_collision for o in threatened),
         n_eligible=len(eligible),
         n_prevented_eligible=sum(not o.is_collision for o in eligible),
+        n_target_touched=sum(o.is_target_touched for o in outcomes),
     )
 
 
@@ -102,6 +105,7 @@ def _scene_json(outcome: SceneOutcome) -> Dict[str, Any]:
         "seed": outcome.seed,
         "mode": outcome.mode,
         "is_collision": outcome.is_collision,
+        "is_target_touched": outcome.is_target_touched,
         "is_intervention": outcome.is_intervention,
         "is_false_intervention": outcome.is_false_intervention,
         "is_eligible": outcome.is_eligible,

@@ -109,9 +109,10 @@ def _min_jerk(tau: float) -> float:
 
 
 def _start_for(rng: np.random.RandomState, red: SceneObject, low: float, high: float) -> Point:
-    """Pick where a mover comes from: the outer side of red, within 60 degrees of radial."""
+    """Pick where a mover comes from: the outer side of red, 25 to 85 degrees off radial."""
     radial = math.atan2(red.pos_m[1], red.pos_m[0])
-    angle = radial + math.radians(_uniform(rng, -60.0, 60.0))
+    sign = 1.0 if rng.uniform() < 0.5 else -1.0
+    angle = radial + sign * math.radians(_uniform(rng, 25.0, 85.0))
     return shifted(red.pos_m, angle, _uniform(rng, low, high))
 
 

@@ -87,7 +87,8 @@ def _print_counts(kind: str, outcomes: Sequence[SceneOutcome]) -> None:
     counts = count(outcomes)
     line = (
         f"{kind:10s} {counts.n_scenes} scenes, {counts.n_interventions} interventions, "
-        f"{counts.n_collisions} collisions, {counts.n_false_interventions} false interventions"
+        f"{counts.n_collisions} collisions, {counts.n_false_interventions} false interventions, "
+        f"{counts.n_target_touched} protected objects touched by the arm"
     )
     if counts.n_would_collide:
         n_late = counts.n_would_collide - counts.n_eligible

@@ -137,7 +137,7 @@ def test_every_scene_starts_on_the_table_in_view_and_apart(kind):
             assert is_in_view(camera, centre, item.radius_m)
             assert all(world.gap_m(item.name, other) > 0.005 for other in names[:i])
         target = scenario.find(scenario.target)
-        assert 0.10 <= math.hypot(*target.pos_m) <= 0.14
+        assert 0.085 <= math.hypot(*target.pos_m) <= 0.11
         assert abs(math.degrees(math.atan2(target.pos_m[1], target.pos_m[0]))) <= 55.0
 
 
