@@ -21,12 +21,14 @@ from apex_edge.types import Array
 
 PAPER_WINDOW = 5
 _GATE_SHARE = {1: 1.0, 2: 1.21, 3: 1.38}  # same probability as one axis at 4 sigma
-_CURVED = {1: 9.0, 2: 11.8, 3: 14.2}  # chi-square of curvature that one in 370 lines reaches
-_LEAN_SHARE = 0.5  # the newest samples pull the fit, so their residuals are small
+_CURVED = {1: 12.0, 2: 16.0, 3: 18.0}  # chi-square of curvature that one line in 2000 shows by chance
+_MISFIT_SIGMA = 4.0
+_LEAN_SHARE = 0.4  # the newest samples pull the fit, so their residuals are small
 _ONSET = 0.1  # of the stated noise per frame: motion that has just begun goes unnoticed
 _PRIOR_DOF = 4.0  # weight of the stated noise against the residuals
-_MIN_NOISE, _N_NOISE = 8, 15
+_MIN_NOISE, _N_NOISE = 8, 25
 _MIN_NOISE_RATIO, _MAX_NOISE_RATIO = 0.3, 4.0
+_NOISE_MARGIN = 1.4
 _SCALE_SD = 0.02  # of the speed: calibration, and a bias that changes along the way
 
 
@@ -174,8 +176,11 @@ class MotionEstimator:
         for axis, noise in enumerate(fit.noise_var.tolist()):
             other = dim + axis
             cov[axis, axis] = unit_x * noise + var_x
-            cov[axis, other] = cov[other, axis] = unit_xv * noise + var_xv
-            cov[other, other] = rules.speed_sd**2 if is_young else unit_v * noise + var_v
+            if is_young:
+                cov[other, other] = rules.speed_sd**2
+            else:
+                cov[axis, other] = cov[other, axis] = unit_xv * noise + var_xv
+                cov[other, other] = unit_v * noise + var_v
         if is_young:
             velocity = np.zeros(dim)
         acc = 2.0 * fit.beta[2] if order == 3 else np.zeros(dim)
@@ -216,7 +221,9 @@ class MotionEstimator:
         """Return the noise of a sighting: what the track has shown, within reach of what is stated."""
         if self._shown_sd <= 0.0:
             return sample.sd
-        return min(max(_MIN_NOISE_RATIO * sample.sd, self._shown_sd), _MAX_NOISE_RATIO * sample.sd)
+        # The shown sd is itself off by a quarter: believe less noise only where it is clearly less.
+        shown = max(self._shown_sd, min(sample.sd, _NOISE_MARGIN * self._shown_sd))
+        return min(max(_MIN_NOISE_RATIO * sample.sd, shown), _MAX_NOISE_RATIO * sample.sd)
 
     def _note_noise(self, sample: Sample) -> None:
         """Keep how far the newest sighting lies off the parabola through the three before it."""
@@ -240,7 +247,7 @@ class MotionEstimator:
     def _is_inside(self, sample: Sample) -> bool:
         state = self.predict(sample.t_s)
         dim = len(sample.x)
-        variance = np.diag(state.cov)[:dim] + self._noise_sd(sample) ** 2
+        variance = np.diag(state.cov)[:dim] + (self._noise_sd(sample) ** 2 - self._doubt())
         variance = variance + float(state.v @ state.v) * self._rules.stamp_sd_s**2
         miss = sample.x - state.x
         limit = self._rules.gate_sigma**2 * _GATE_SHARE.get(dim, 1.5)
@@ -269,7 +276,7 @@ class MotionEstimator:
         while True:
             fit = self._best_fit(self._window)
             dim = fit.beta.shape[1]
-            limit = 1.0 + 3.0 * np.sqrt(2.0 / max(1, fit.dof))
+            limit = 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / max(1, fit.dof))
             holds = fit.misfit <= limit * fit.dof and fit.lean <= _LEAN_SHARE * _CURVED.get(dim, 16.0)
             if len(self._window) <= 4 or holds:
                 self._fit = fit
