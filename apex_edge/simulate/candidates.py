@@ -11,8 +11,8 @@ from typing import Optional, Tuple
 import numpy as np
 
 from apex_edge.errors import ConfigError
-from apex_edge.simulate.problem import CandidatesConfig
-from apex_edge.types import Array, Candidates
+from apex_edge.simulate.problem import ArmCandidates, CandidatesConfig
+from apex_edge.types import Array
 from firmware_bridge.kinematics import ArmModel
 
 # The pitch of the first, coarse grid, and how the grid is closed from there on.
@@ -35,7 +35,7 @@ def candidate_grid(
     n: int = 1412,
     version: int = 1,
     config: Optional[CandidatesConfig] = None,
-) -> Candidates:
+) -> ArmCandidates:
     """Lay exactly ``n`` points on a square grid over the reachable half annulus.
 
     The widest grid with at least ``n`` reachable points is taken; the points too many are dropped
@@ -57,9 +57,10 @@ def candidate_grid(
     kept = kept[np.lexsort((kept[:, 1], reach))]
     joints, hover, _ = _reachable(arm, kept, settings)
     tip = np.column_stack([kept, np.full(n, settings.tip_height_m)])
-    for array in (tip, joints, hover):
+    wrist = arm.forward(joints)[:, 2].copy()
+    for array in (tip, joints, hover, wrist):
         array.setflags(write=False)
-    return Candidates(version=version, tip_m=tip, joints_rad=joints, hover_rad=hover)
+    return ArmCandidates(version, tip, joints, hover, wrist)
 
 
 def _closest_grid(arm: ArmModel, n: int, config: CandidatesConfig) -> Array:

@@ -17,7 +17,7 @@ from apex_edge.simulate.problem import (
     Outcomes,
     RolloutProblem,
     arrival_steps,
-    offset_ratio,
+    describe_hits,
 )
 from apex_edge.types import Array
 
@@ -140,11 +140,13 @@ def _advance(m: _Movers, problem: RolloutProblem) -> None:
 
 def _collect(m: _Movers, problem: RolloutProblem, tips: Array, n: int) -> Outcomes:
     """Copy the outcome out of the buffers, without the extra mover."""
-    ratio = np.full(n, np.inf)
+    offset, gap = np.full((2, n), np.inf)
     hit = np.flatnonzero(m.blocks[:n] != NEVER)
-    gap = np.stack([tips[0, hit] - m.x[hit], tips[1, hit] - m.y[hit]])
+    place = np.stack([m.x[hit], m.y[hit]])
     came = np.stack([m.came_x[hit], m.came_y[hit]])
-    ratio[hit] = offset_ratio(gap, came, problem.block_m)
+    then_s = m.blocks[hit] * problem.dt_s
+    target = problem.target_pos_m[:2, None] + problem.target_vel_m_s[:2, None] * then_s
+    offset[hit], gap[hit] = describe_hits(tips[:, hit] - place, came, target - place, problem)
     return Outcomes(
         collision_step=m.collides[:n].copy(),
         blocked_step=m.blocks[:n].copy(),
@@ -153,6 +155,7 @@ def _collect(m: _Movers, problem: RolloutProblem, tips: Array, n: int) -> Outcom
         min_step=m.least_at[:n].copy(),
         final_distance_m=np.sqrt(m.last2[:n]),
         landing_gap_m=np.sqrt(m.land2[:n]) - problem.block_m,
-        offset_ratio=ratio,
+        offset_ratio=offset,
+        deflected_gap_m=gap,
         free_collision_step=int(m.collides[n]),
     )

@@ -22,7 +22,7 @@ from apex_edge.simulate.problem import (
     Outcomes,
     RolloutProblem,
     arrival_steps,
-    offset_ratio,
+    describe_hits,
 )
 from apex_edge.types import Array
 
@@ -71,6 +71,7 @@ class KernelSim(PhysicsSim):
         least, least_at = _running_minimum(distance)
         lands = np.minimum(arrives, end)
         gap = np.hypot(mover.xy[0, lands] - tips[0], mover.xy[1, lands] - tips[1])
+        offset, deflected = _hits(problem, mover, target, tips, blocked)
         found = Outcomes(
             collision_step=np.where(blocked == NEVER, free_hit, NEVER),
             blocked_step=blocked,
@@ -79,7 +80,8 @@ class KernelSim(PhysicsSim):
             min_step=least_at[end],
             final_distance_m=distance[end],
             landing_gap_m=np.where(arrives == NEVER, np.inf, gap - problem.block_m),
-            offset_ratio=_offset_ratio(mover, tips, blocked, problem.block_m),
+            offset_ratio=offset,
+            deflected_gap_m=deflected,
             free_collision_step=free_hit,
         )
         if problem.target_vel_m_s[:2].any():
@@ -187,14 +189,18 @@ def _first_inside_curved(path: _Path, centres: Array, start: Array, radius_m: fl
     return steps
 
 
-def _offset_ratio(path: _Path, tips: Array, blocked: Array, radius_m: float) -> Array:
-    """Return ``offset_ratio`` for n tips, inf where the mover does not meet the tip."""
-    ratio = np.full(len(blocked), np.inf)
+def _hits(
+    problem: RolloutProblem, mover: _Path, target: _Path, tips: Array, blocked: Array
+) -> Tuple[Array, Array]:
+    """Return ``describe_hits`` for n tips, inf where the mover does not meet the tip."""
+    offset, gap = np.full((2, len(blocked)), np.inf)
     hit = np.flatnonzero(blocked != NEVER)
     step = blocked[hit]
-    gap = tips[:, hit] - path.xy[:, step]
-    ratio[hit] = offset_ratio(gap, path.came[:, step], radius_m)
-    return ratio
+    place = mover.xy[:, step]
+    offset[hit], gap[hit] = describe_hits(
+        tips[:, hit] - place, mover.came[:, step], target.xy[:, step] - place, problem
+    )
+    return offset, gap
 
 
 def _let_target_run_on(

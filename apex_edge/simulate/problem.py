@@ -13,7 +13,7 @@ import numpy as np
 
 from apex_edge.config import setting
 from apex_edge.errors import InputError
-from apex_edge.types import Array, Tracks, TrackStatus
+from apex_edge.types import Array, Candidates, Tracks, TrackStatus
 
 # Step number of an event that does not happen.
 NEVER = 2**31 - 1
@@ -33,7 +33,9 @@ _UNKNOWN_SD = (0.005, 0.005, 0.005, 0.05, 0.05, 0.05)
 class CandidatesConfig:
     """How the grid of intercept points is laid."""
 
-    tip_height_m: float = setting(0.005, "height of the tip when it stands guard, m", 0.0, 0.2)
+    # A small ball's centre is this high: there it is met squarely, and far out, where the hand
+    # hangs over what is nearer to the base, it hangs higher than with the tip on the table.
+    tip_height_m: float = setting(0.015, "height of the tip when it stands guard, m", 0.0, 0.2)
     hover_height_m: float = setting(0.06, "height from which the tip descends, m", 0.0, 0.4)
     min_spacing_m: float = setting(0.002, "finest grid tried before the arm is refused, m", 1e-4, 1)
 
@@ -46,7 +48,7 @@ class SimulateConfig:
     horizon_s: float = setting(5.0, "how far ahead is simulated, s", 0.1, 60.0)
     dt_s: float = setting(0.01, "Euler step, s", 0.0005, 0.5)
     n_candidates: int = setting(1412, "intercept points", 1, 100000)
-    clearance_m: float = setting(0.006, "least gap between tip and what it must not touch", 0, 0.1)
+    clearance_m: float = setting(0.004, "least gap between tip and what it must not touch", 0, 0.1)
     min_slack_s: float = setting(0.1, "least time the tip must stand before the mover comes", 0, 5)
     glance_ratio: float = setting(
         0.6, "greatest offset of a hit from the middle that still stops, of both radii", 0.05, 1.0
@@ -91,7 +93,7 @@ class RolloutProblem:
     tip_radius_m: float
     horizon_s: float = 5.0
     dt_s: float = 0.01
-    clearance_m: float = 0.006
+    clearance_m: float = 0.004
     min_slack_s: float = 0.1
     glance_ratio: float = 0.6
     n_sigma: float = 2.0
@@ -140,6 +142,16 @@ class RolloutProblem:
 
 
 @dataclass(frozen=True)
+class ArmCandidates(Candidates):
+    """Candidates that know where the arm's hand is: ``wrist_m (n, 3)`` with the tip on guard.
+
+    Far out the hand leans over what is nearer to the base and would knock it over.
+    """
+
+    wrist_m: Array
+
+
+@dataclass(frozen=True)
 class Outcomes:
     """What one back end found for n blockers; step numbers are NEVER when it does not happen.
 
@@ -148,7 +160,9 @@ class Outcomes:
     collision); ``min_distance_m``, ``final_distance_m (n,)`` mover to target, ``min_step (n,)``;
     ``landing_gap_m (n,)`` between tip and mover, edge to edge, when the arm arrives (inf when it
     does not arrive); ``offset_ratio (n,)`` sideways offset of the hit over tip + mover radius, 0
-    for a central hit (inf when not blocked); ``free_collision_step`` without any arm.
+    for a central hit (inf when not blocked); ``deflected_gap_m (n,)`` how near, edge to edge, the
+    mover would come to the target if it glided off the tip sideways instead of stopping (inf when
+    not blocked); ``free_collision_step`` without any arm.
     """
 
     collision_step: Array
@@ -159,6 +173,7 @@ class Outcomes:
     final_distance_m: Array
     landing_gap_m: Array
     offset_ratio: Array
+    deflected_gap_m: Array
     free_collision_step: int
 
 
@@ -184,17 +199,27 @@ def arrival_steps(arrival_s: Array, problem: RolloutProblem) -> Array:
     return result
 
 
-def offset_ratio(gap_m: Array, came_m_s: Array, radius_m: float) -> Array:
-    """Return the sideways offset (n,) of a hit over ``radius_m``: 0 central, 1 just touching.
+def describe_hits(
+    gap_m: Array, came_m_s: Array, away_m: Array, problem: RolloutProblem
+) -> Tuple[Array, Array]:
+    """Return offset ratio (n,) and deflected gap (n,) of n hits; see ``Outcomes``.
 
-    ``gap_m (2, n)`` from mover to blocker, ``came_m_s (2, n)`` the velocity that led there. A
-    mover that did not move is hit centrally.
+    ``gap_m (2, n)`` from mover to blocker, ``came_m_s (2, n)`` the velocity that led there (a
+    mover that did not move is hit centrally), ``away_m (2, n)`` from mover to target. A deflected
+    mover keeps the part of its velocity that is square to the line of centres.
     """
     speed = np.hypot(came_m_s[0], came_m_s[1])
     is_moving = speed > TINY_M_S
-    across = np.abs(gap_m[0] * came_m_s[1] - gap_m[1] * came_m_s[0])
-    ratio: Array = np.where(is_moving, across / np.where(is_moving, speed, 1.0) / radius_m, 0.0)
-    return ratio
+    unit = came_m_s / np.where(is_moving, speed, 1.0)
+    across = gap_m[0] * unit[1] - gap_m[1] * unit[0]
+    offset = np.where(is_moving, np.abs(across), 0.0) / problem.block_m
+    apart = np.maximum(np.hypot(gap_m[0], gap_m[1]), TINY_M_S)
+    side = np.where(across < 0.0, 1.0, -1.0) / apart
+    glide_x, glide_y = gap_m[1] * side, -gap_m[0] * side
+    way = np.maximum(away_m[0] * glide_x + away_m[1] * glide_y, 0.0)
+    way = np.where(offset > CONTACT_EPS_M, way, 0.0)
+    miss = np.hypot(away_m[0] - way * glide_x, away_m[1] - way * glide_y)
+    return offset, miss - problem.contact_m
 
 
 def problem_from(

@@ -1,8 +1,9 @@
 """Which simulated interventions are safe, and which of the safe ones is better.
 
 A candidate is safe when, on the expected path, the arm stands there ``min_slack_s`` before the
-mover comes, stops it (not a glancing hit), mover and target never touch, and the tip keeps
-``clearance_m`` from the target, from all other objects and, when it lands, from the mover.
+mover comes, stops it (not a glancing hit), mover and target never touch (nor would they, by
+``clearance_m``, if the mover glided off the tip), and the arm keeps ``clearance_m`` from the
+target, from all other objects and, when it lands, from the mover.
 
 The score of a safe candidate, 0 to 1, is a weighted mean of (weights in ``WEIGHTS``)
 
@@ -18,13 +19,14 @@ Source: descriptors from APEX section "Simulate"; the rule and the score are our
 """
 
 from dataclasses import dataclass
-from typing import Callable, List, Mapping, Tuple
+from typing import Callable, List, Mapping, Optional, Tuple
 
 import numpy as np
 
 from apex_edge.simulate.problem import (
     CONTACT_EPS_M,
     NEVER,
+    ArmCandidates,
     Outcomes,
     RolloutProblem,
     hypotheses,
@@ -63,7 +65,7 @@ def judge(
     """Roll out n candidates, mark the safe ones, score them and pick the best few."""
     tips = np.asarray(candidates.tip_m, dtype=np.float64)
     found = simulate(problem, tips[:, :2], arrival_s)
-    clearance = clearance_m(problem, tips, arrival_s, found)
+    clearance = clearance_m(problem, candidates, arrival_s, found)
     slack = slack_s(found, problem, arrival_s)
     is_safe = safe(problem, found, slack, clearance)
     score = np.full(len(tips), -np.inf)
@@ -102,25 +104,54 @@ def slack_s(found: Outcomes, problem: RolloutProblem, arrival_s: Array) -> Array
     return result
 
 
-def clearance_m(problem: RolloutProblem, tips_m: Array, arrival_s: Array, found: Outcomes) -> Array:
-    """Return the least gap (n,) between tip and anything it must not touch, edge to edge.
+def clearance_m(
+    problem: RolloutProblem, candidates: Candidates, arrival_s: Array, found: Outcomes
+) -> Array:
+    """Return the least gap (n,) between the arm and what it must not touch, edge to edge.
 
     The target counts from the arm's arrival to the horizon along its own motion, the other objects
-    where they are now, the mover where it is when the tip comes down.
+    where they are now, the mover where it is when the tip comes down. The arm is its tip and, with
+    ``ArmCandidates``, the part of the hand that is lower than the object is high; balls and cubes
+    are as high as they are wide.
     """
-    since_s = np.minimum(arrival_s, problem.horizon_s)
-    velocity = problem.target_vel_m_s[:2]
-    offset = tips_m[:, :2] - problem.target_pos_m[:2]
+    tips = candidates.tip_m[:, :2]
+    target, velocity = problem.target_pos_m[:2], problem.target_vel_m_s[:2]
     speed2 = float(velocity @ velocity)
-    if speed2 > 0.0:
-        nearest_s = np.clip(offset @ velocity / speed2, since_s, problem.horizon_s)
-        offset = offset - nearest_s[:, None] * velocity
-    gap = np.hypot(offset[:, 0], offset[:, 1]) - problem.target_radius_m - problem.tip_radius_m
-    gap = np.minimum(gap, found.landing_gap_m)
-    for place, radius in zip(problem.obstacle_pos_m, problem.obstacle_radius_m):
-        away = np.hypot(tips_m[:, 0] - place[0], tips_m[:, 1] - place[1])
+    lean = _lean(candidates, 2.0 * problem.target_radius_m)
+    gap = found.landing_gap_m
+    # A moving target is taken where it is nearest to the tip, and to the end of the low hand.
+    for end in [tips] if lean is None or speed2 == 0.0 else [tips, tips + lean]:
+        place = target
+        if speed2 > 0.0:
+            since_s = np.minimum(arrival_s, problem.horizon_s)
+            nearest_s = np.clip((end - target) @ velocity / speed2, since_s, problem.horizon_s)
+            place = target + nearest_s[:, None] * velocity
+        away = _to_segments(place, tips, lean)
+        gap = np.minimum(gap, away - problem.target_radius_m - problem.tip_radius_m)
+    for obstacle, radius in zip(problem.obstacle_pos_m, problem.obstacle_radius_m):
+        away = _to_segments(obstacle[:2], tips, _lean(candidates, 2.0 * float(radius)))
         gap = np.minimum(gap, away - radius - problem.tip_radius_m)
-    result: Array = gap
+    return gap
+
+
+def _lean(candidates: Candidates, height_m: float) -> Optional[Array]:
+    """Return the way (n, 2) on the table from the tip to where the hand rises over a height."""
+    if not isinstance(candidates, ArmCandidates):
+        return None
+    hand = candidates.wrist_m - candidates.tip_m
+    share = (height_m - candidates.tip_m[:, 2]) / np.maximum(hand[:, 2], 1e-6)
+    lean: Array = hand[:, :2] * np.clip(share, 0.0, 1.0)[:, None]
+    return lean
+
+
+def _to_segments(point: Array, start: Array, span: Optional[Array]) -> Array:
+    """Return the distances (n,) from points (2,) or (n, 2) to the segments start + [0, 1] span."""
+    x, y = point[..., 0] - start[:, 0], point[..., 1] - start[:, 1]
+    if span is not None:
+        length2 = np.maximum(span[:, 0] * span[:, 0] + span[:, 1] * span[:, 1], 1e-12)
+        share = np.clip((x * span[:, 0] + y * span[:, 1]) / length2, 0.0, 1.0)
+        x, y = x - share * span[:, 0], y - share * span[:, 1]
+    result: Array = np.hypot(x, y)
     return result
 
 
@@ -130,6 +161,7 @@ def safe(problem: RolloutProblem, found: Outcomes, slack: Array, clearance: Arra
         (found.blocked_step != NEVER)
         & (found.collision_step == NEVER)
         & (found.offset_ratio <= problem.glance_ratio + CONTACT_EPS_M)
+        & (found.deflected_gap_m >= problem.clearance_m - CONTACT_EPS_M)
         & (slack >= problem.min_slack_s - CONTACT_EPS_M)
         & (clearance >= problem.clearance_m - CONTACT_EPS_M)
     )
@@ -169,7 +201,7 @@ def _holds(found: Outcomes, variant: RolloutProblem, arrival_s: Array) -> Tuple[
     is_hit = found.collision_step != NEVER
     slack = slack_s(found, variant, arrival_s)
     is_stopped = (found.blocked_step != NEVER) & (slack >= 0.0)
-    is_stopped &= found.offset_ratio <= variant.glance_ratio
+    is_stopped &= (found.offset_ratio <= variant.glance_ratio) & (found.deflected_gap_m > 0.0)
     if found.free_collision_step == NEVER:
         is_landed_on = (found.landing_gap_m < 0.0) & ~is_stopped
         return ~is_hit & ~is_landed_on, np.full(len(slack), np.inf)

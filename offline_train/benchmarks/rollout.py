@@ -36,7 +36,13 @@ HELP = "cost of 1412 roll-outs: plain loop, stepped Euler, kernel; and do they a
 EXAMPLE = "apex bench rollout --json rollout.json"
 
 _FLAGS = ("collision_step", "blocked_step", "enter_step")
-_METRES = ("min_distance_m", "final_distance_m", "landing_gap_m", "offset_ratio")
+_METRES = (
+    "min_distance_m",
+    "final_distance_m",
+    "landing_gap_m",
+    "offset_ratio",
+    "deflected_gap_m",
+)
 _SAME_M = 1e-9
 _STEPS_S = (0.01, 0.01, 0.02, 0.05, 0.1)
 _LEAST_CPU_S = 0.02
@@ -271,7 +277,7 @@ def _add(
 
 
 def _is_safe(problem: RolloutProblem, grid: Candidates, arrival_s: Array, found: Outcomes) -> Array:
-    clearance = clearance_m(problem, grid.tip_m, arrival_s, found)
+    clearance = clearance_m(problem, grid, arrival_s, found)
     return safe(problem, found, slack_s(found, problem, arrival_s), clearance)
 
 

@@ -31,7 +31,8 @@ def test_the_arm_stands_at_every_point_and_straight_above_it(arm, grid):
     above = grid.tip_m.copy()
     above[:, 2] = 0.06
     np.testing.assert_allclose(arm.tip(grid.hover_rad), above, atol=1e-9)
-    assert (grid.tip_m[:, 2] == 0.005).all()
+    assert (grid.tip_m[:, 2] == 0.015).all()
+    np.testing.assert_array_equal(grid.wrist_m, arm.forward(grid.joints_rad)[:, 2])
 
 
 def test_points_are_evenly_spread_over_the_half_annulus(grid):

@@ -10,7 +10,7 @@ from apex_edge.config import structure
 from apex_edge.errors import ConfigError, InputError
 from apex_edge.simulate.base import SimulateConfig, problem_from
 from apex_edge.simulate.kernel import KernelSim
-from apex_edge.simulate.problem import hypotheses
+from apex_edge.simulate.problem import ArmCandidates, hypotheses
 from apex_edge.types import TrackStatus
 
 # sd 1 mm and 1 cm/s: what a ball that was followed for a few frames has
@@ -83,6 +83,52 @@ def test_the_tip_keeps_its_distance_from_other_objects():
     found = roll(scene, [(0.1, 0.0), (0.15, 0.0)])
     assert found.is_blocked.all()
     assert found.is_safe.tolist() == [False, True]
+
+
+def test_a_hit_that_would_deflect_the_mover_into_the_target_is_not_safe():
+    # Both tips meet the ball off the middle; only the first sends it up, where the target is.
+    scene = problem(target_pos_m=(0.12, 0.06, 0.0), mover_vel_m_s=(-0.1, 0.01, 0.0))
+    found = roll(scene, [(0.12, -0.006), (0.12, 0.02)])
+    assert found.is_blocked.all()
+    assert not found.is_collision.any()
+    assert (found.clearance_m > scene.clearance_m).all()
+    assert found.is_safe.tolist() == [False, True]
+
+
+def leaning(wrist, *xy):
+    """Candidates whose wrist is up at (x, y, z) for every tip."""
+    plain = candidates(*xy)
+    wrists = np.tile(np.array(wrist, dtype=np.float64), (len(xy), 1))
+    return ArmCandidates(plain.version, plain.tip_m, plain.joints_rad, plain.hover_rad, wrists)
+
+
+def test_a_hand_that_hangs_low_over_the_target_is_not_safe():
+    # 0.03 m high target; the hand comes in from the base behind it, at 45 degrees
+    low = leaning((0.02, 0.0, 0.085), (0.1, 0.0))
+    high = leaning((0.1, 0.0, 0.085), (0.1, 0.0))
+    scene = problem(target_pos_m=(0.05, 0.0, 0.0))
+    over, upright = (KernelSim().rollout(scene, grid, np.zeros(1)) for grid in (low, high))
+    assert upright.clearance_m[0] == pytest.approx(0.05 - 0.027)
+    # at 0.03 m height the hand is 0.025 m nearer to the base than the tip
+    assert over.clearance_m[0] == pytest.approx(0.025 - 0.027)
+    assert upright.is_safe[0]
+    assert not over.is_safe[0]
+
+
+def test_a_hand_passes_over_an_object_lower_than_itself():
+    grid = leaning((0.02, 0.0, 0.085), (0.1, 0.0))
+    flat = problem(obstacle_pos_m=np.array([[0.05, 0.0, 0.0]]), obstacle_radius_m=np.array([0.004]))
+    tall = problem(obstacle_pos_m=np.array([[0.05, 0.0, 0.0]]), obstacle_radius_m=np.array([0.03]))
+    found = [KernelSim().rollout(scene, grid, np.zeros(1)) for scene in (flat, tall)]
+    assert found[0].is_safe[0]
+    assert found[1].clearance_m[0] < 0.0
+
+
+def test_a_target_that_comes_under_the_hand_counts_though_it_stays_off_the_tip():
+    grid = leaning((0.02, 0.0, 0.045), (0.1, 0.0))
+    scene = problem(target_pos_m=(0.06, -0.1, 0.0), target_vel_m_s=(0.0, 0.05, 0.0))
+    found = KernelSim().rollout(scene, grid, np.zeros(1))
+    assert found.clearance_m[0] < 0.0
 
 
 def test_a_central_hit_scores_higher_than_one_off_the_middle():
