@@ -82,10 +82,11 @@ def _report(fields: Dict[str, Any], out: Path) -> str:
         row = fields["metrics"][name]
         keys = ("recall", "negative_frames", "false_scenes", "pr_auc", "roc_auc")
         lines.append(_row(name, tuple(f"{row[key]:.3f}" for key in keys)))
+    n_late = promise["n_contacts"] - promise["n_pos"]
     lines.append(
         f"certified: recall >= {1 - promise['alpha']:.3f} at {promise['confidence']:.0%} "
         f"confidence, {promise['lead_s']:.1f} s before contact, on {promise['n_pos']} events; "
-        f"{promise['n_contacts'] - promise['n_pos']} contacts showed too little or too late to count"
+        f"{n_late} contacts showed too little or too late to count"
     )
     lines.append(f"wrote {out}")
     return "\n".join(lines)

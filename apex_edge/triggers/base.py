@@ -20,10 +20,11 @@ from apex_edge.types import Array, DifferenceGraph, HazardScores, Tracks
 N_DIMS = 2
 # Used when perception could not measure a size; about the largest toy on the table.
 UNKNOWN_RADIUS_M = 0.02
-# sd of an acceleration fitted to a window of length T, as a multiple of (velocity sd / T): 7.75 for
-# a line's velocity sd. Only the slowing down beyond 1.64 of these sd counts, since believing in
-# a stop that never comes would silence the alarm.
-_ACC_SD_FACTOR = 7.75
+# sd of the acceleration of a parabola fitted to a window of length T, as a multiple of (sd of its
+# velocity at the end / T): sqrt(720) / sqrt(192). Perception publishes an acceleration only with a
+# parabola. Only the slowing down beyond 1.64 of these sd counts, since believing in a stop that
+# never comes would silence the alarm.
+_ACC_SD_FACTOR = 1.94
 _Z_PROVEN = 1.6449
 _MAX_DECEL_M_S2 = 5.0
 
@@ -115,39 +116,83 @@ class Trigger(ABC):
 
     def score(self, diff: DifferenceGraph, horizon_s: float) -> HazardScores:
         """Score the edges of ``diff.graph``; call once per frame, in order."""
-        edges, is_moving = movers_first(diff.graph.tracks, diff.graph.edges, self.config)
-        pairs = pairs_of(diff.graph.tracks, edges, diff.dt_s)
-        n_samples = np.min(diff.graph.tracks.n_samples[edges], axis=1)
-        evidence = weigh(pairs, is_moving, n_samples, horizon_s)
-        rows = np.flatnonzero(evidence.is_possible)
-        probability = np.zeros(len(edges))
-        is_hit = np.zeros(len(edges), dtype=bool)
-        is_fallback = np.zeros(len(edges), dtype=bool)
-        if len(rows):
-            verdict = self.judge(evidence.take(rows))
-            probability[rows] = verdict.probability
-            is_hit[rows] = verdict.is_hit
-            is_fallback[rows] = verdict.is_fallback
-        ids = diff.graph.tracks.track_id[edges]
-        found = evidence.approach
+        tracks = diff.graph.tracks
+        edges, is_moving = movers_first(tracks, diff.graph.edges, self.config)
+        pairs = pairs_of(tracks, edges, diff.dt_s)
+        table = _Table.at_rest(pairs)
+        moving = np.flatnonzero(is_moving)
+        if len(moving):
+            samples = np.min(tracks.n_samples[edges[moving]], axis=1)
+            evidence = weigh(pairs.take(moving), is_moving[moving], samples, horizon_s)
+            table.put_approach(moving, evidence)
+            possible = np.flatnonzero(evidence.is_possible)
+            if len(possible):
+                table.put_verdict(moving[possible], self.judge(evidence.take(possible)))
+        ids = tracks.track_id[edges]
+        voted = self._persistence.update(ids, table.is_hit)
         return HazardScores(
             seq=diff.seq,
             t_s=diff.t_s,
             mover_id=ids[:, 0],
             target_id=ids[:, 1],
-            probability=probability,
-            dca_m=found.dca_m,
-            tca_s=found.tca_s,
-            ttc_s=found.ttc_s,
-            ttc_early_s=np.where(is_moving, evidence.early_s, np.inf),
-            sigma_m=evidence.sigma_m,
-            is_fired=self._persistence.update(ids, is_hit) & evidence.is_possible,
-            is_fallback=is_fallback,
+            probability=table.probability,
+            dca_m=table.dca_m,
+            tca_s=table.tca_s,
+            ttc_s=table.ttc_s,
+            ttc_early_s=table.early_s,
+            sigma_m=table.sigma_m,
+            is_fired=voted & np.isfinite(table.early_s),
+            is_fallback=table.is_fallback,
         )
 
     @abstractmethod
     def judge(self, evidence: Evidence) -> Verdict:
         """Judge pairs which move and can touch; no state."""
+
+
+@dataclass
+class _Table:
+    """The columns of HazardScores while they are filled in, m edges."""
+
+    dca_m: Array
+    tca_s: Array
+    ttc_s: Array
+    early_s: Array
+    sigma_m: Array
+    probability: Array
+    is_hit: Array
+    is_fallback: Array
+
+    @classmethod
+    def at_rest(cls, pairs: Pairs) -> "_Table":
+        """Start with what holds for pairs of which nothing moves."""
+        n = len(pairs.radius_m)
+        gap = np.sqrt((pairs.offset_m * pairs.offset_m).sum(axis=1))
+        place_var = np.maximum(pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1], 0.0) / N_DIMS
+        return cls(
+            dca_m=gap,
+            tca_s=np.zeros(n),
+            ttc_s=np.where(gap <= pairs.radius_m, 0.0, np.inf),
+            early_s=np.full(n, np.inf),
+            sigma_m=np.sqrt(place_var),
+            probability=np.zeros(n),
+            is_hit=np.zeros(n, dtype=bool),
+            is_fallback=np.zeros(n, dtype=bool),
+        )
+
+    def put_approach(self, rows: Array, evidence: Evidence) -> None:
+        """Fill in the geometry of the pairs that move."""
+        self.dca_m[rows] = evidence.approach.dca_m
+        self.tca_s[rows] = evidence.approach.tca_s
+        self.ttc_s[rows] = evidence.approach.ttc_s
+        self.early_s[rows] = evidence.early_s
+        self.sigma_m[rows] = evidence.sigma_m
+
+    def put_verdict(self, rows: Array, verdict: Verdict) -> None:
+        """Fill in the judgement on the pairs that can touch."""
+        self.probability[rows] = verdict.probability
+        self.is_hit[rows] = verdict.is_hit
+        self.is_fallback[rows] = verdict.is_fallback
 
 
 class Persistence:
@@ -189,7 +234,7 @@ def movers_first(tracks: Tracks, edges: Array, config: TriggerConfig) -> Tuple[A
     not finite does not count as moving: nothing is known of its motion.
     """
     velocity = tracks.vel_m_s[:, :N_DIMS]
-    speed = np.nan_to_num(np.sqrt(np.einsum("nd,nd->n", velocity, velocity)), nan=0.0)
+    speed = np.sqrt(np.einsum("nd,nd->n", _finite(velocity), _finite(velocity)))
     spread = tracks.cov[:, 3 : 3 + N_DIMS, 3 : 3 + N_DIMS]
     is_known = np.all(np.isfinite(velocity), axis=1) & np.all(np.isfinite(spread), axis=(1, 2))
     variance = np.where(is_known, np.einsum("nii->n", spread) / N_DIMS, 0.0)
@@ -223,7 +268,7 @@ def pairs_of(tracks: Tracks, edges: Array, frame_s: Union[float, Array]) -> Pair
     """
     mover, target = edges[:, 0], edges[:, 1]
     place = tracks.pos_m[:, :N_DIMS]
-    velocity = np.nan_to_num(tracks.vel_m_s[:, :N_DIMS], nan=0.0, posinf=0.0, neginf=0.0)
+    velocity = _finite(tracks.vel_m_s[:, :N_DIMS])
     wanted = np.concatenate([np.arange(N_DIMS), 3 + np.arange(N_DIMS)])
     cov = tracks.cov[:, wanted[:, None], wanted]
     cov = np.where(np.all(np.isfinite(cov), axis=(1, 2))[:, None, None], cov, 0.0)
@@ -255,10 +300,15 @@ def proven_decel(velocity: Array, acc: Array, vel_cov: Array, window_s: Array) -
     """
     speed = np.sqrt(np.einsum("nd,nd->n", velocity, velocity))
     heading = velocity / np.where(speed > 0.0, speed, 1.0)[:, None]
-    against = -np.einsum("nd,nd->n", np.nan_to_num(acc, nan=0.0, posinf=0.0, neginf=0.0), heading)
+    against = -np.einsum("nd,nd->n", _finite(acc), heading)
     variance = np.maximum(np.einsum("ni,nij,nj->n", heading, vel_cov, heading), 0.0)
     has_window = window_s > 0.0
     doubt = _ACC_SD_FACTOR * np.sqrt(variance) / np.where(has_window, window_s, 1.0)
     proven = np.clip(against - _Z_PROVEN * doubt, 0.0, _MAX_DECEL_M_S2)
     decel: Array = np.where(has_window & (speed > 0.0), proven, 0.0)
     return decel
+
+
+def _finite(values: Array) -> Array:
+    known: Array = np.where(np.isfinite(values), values, 0.0)
+    return known

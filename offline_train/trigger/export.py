@@ -24,9 +24,10 @@ from apex_edge.triggers.features import (
 )
 from apex_edge.types import Array
 from offline_train.trigger.calibrate import VISIBLE_S, Promise, Threshold
+from offline_train.trigger.estimate import end_covariance
 from offline_train.trigger.fit import LinearFit, sklearn_module
 from offline_train.trigger.generate import GENERATOR, GENERATOR_VERSION
-from offline_train.trigger.observe import FPS, HORIZON_S, NOISE_M, WINDOWS, line_covariance
+from offline_train.trigger.observe import FPS, HORIZON_S, NOISE_M, WINDOWS
 
 GATE_KEYS = ("min_speed_m_s", "min_speed_sd", "persist_hits", "persist_frames")
 # Beyond these the model extrapolates. Small distance and small sd are no extrapolation: touching
@@ -95,7 +96,9 @@ def golden_vectors(fit: LinearFit) -> List[Dict[str, Any]]:
     """Return six raw pairs with the features and the logit they must give on every device."""
     sd = np.array([0.0005, 0.001, 0.002, 0.003, 0.001, 0.0015])
     window = np.array([20, 10, 5, 7, 15, 12])
-    cov = line_covariance(sd, window, np.full(6, 1.0 / 30.0))[:, [0, 1, 3, 4]][:, :, [0, 1, 3, 4]]
+    cov = end_covariance(sd, window, np.full(6, 1.0 / 30.0), order=2)[:, [0, 1, 3, 4]][
+        :, :, [0, 1, 3, 4]
+    ]
     pairs = Pairs(
         offset_m=np.array(
             [[0.3, 0.0], [0.2, 0.1], [-0.15, 0.25], [0.1, -0.3], [0.4, 0.02], [0.06, 0.0]]

@@ -1,8 +1,7 @@
 """What perception would publish of the true motion: noisy, windowed, with its covariance.
 
-Positions carry white noise; position and velocity come from a least-squares line over the window,
-evaluated at its newest frame, with the propagated covariance; the acceleration, where given,
-from a parabola over the same window. Pairs, gate and features are then the device's own code.
+Positions carry white noise; motion and covariance come from a fit over a window (see estimate).
+Pairs, gate and features are then the device's own code.
 """
 
 from dataclasses import dataclass
@@ -14,6 +13,8 @@ from apex_edge.triggers.analytic import k_sigma_rule
 from apex_edge.triggers.base import TriggerConfig, movers_first, pairs_of, weigh
 from apex_edge.triggers.features import edge_features
 from apex_edge.types import Array, Tracks
+from offline_train.trigger import estimate
+from offline_train.trigger.estimate import Fit, Sensing
 from offline_train.trigger.generate import Scenes, contact_time, draw, place
 
 NOISE_M = (0.0005, 0.003)
@@ -22,22 +23,6 @@ WINDOWS = (5, 20)
 N_FRAMES = 150
 HORIZON_S = 5.0
 _CHUNK = 20000
-Fit = Tuple[Array, Array, Array]
-
-
-@dataclass(frozen=True)
-class Sensing:
-    """How each of n scenes is seen.
-
-    ``frame_s``, ``sd_m``, ``told_sd_m`` (what perception believes of its noise) and ``window``,
-    each (n,); ``has_acc (n,)`` whether an acceleration is published.
-    """
-
-    frame_s: Array
-    sd_m: Array
-    told_sd_m: Array
-    window: Array
-    has_acc: Array
 
 
 @dataclass(frozen=True)
@@ -83,7 +68,9 @@ def observe(seed: int, n: int, config: TriggerConfig, only_contacts: bool = Fals
     sensing = _draw_sensing(rng, len(contact))
     times = np.arange(N_FRAMES) * sensing.frame_s[:, None]
     mover, target = place(scenes, times)
-    fits = [_fit(seen + _noise(rng, seen.shape, sensing), sensing) for seen in (mover, target)]
+    fits = [
+        estimate.fit(seen + _noise(rng, seen.shape, sensing), sensing) for seen in (mover, target)
+    ]
     is_full = np.arange(N_FRAMES) >= sensing.window[:, None] - 1
     is_judged = is_full & (times < contact[:, None])
     rows = np.nonzero(is_judged)
@@ -113,7 +100,7 @@ def _draw_sensing(rng: np.random.Generator, n: int) -> Sensing:
         sd_m=sd,
         told_sd_m=sd * rng.uniform(0.8, 1.25, n),
         window=rng.integers(WINDOWS[0], WINDOWS[1] + 1, n),
-        has_acc=rng.random(n) < 0.5,
+        is_adaptive=rng.random(n) < 0.5,
     )
 
 
@@ -122,51 +109,14 @@ def _noise(rng: np.random.Generator, shape: Tuple[int, ...], sensing: Sensing) -
     return noise
 
 
-def _fit(seen: Array, sensing: Sensing) -> Fit:
-    """Return position, velocity, acceleration (n, f, 2) fitted over each trailing window."""
-    n, n_frames, _ = seen.shape
-    index = np.arange(n_frames)
-    # Moments of the window about its middle, from running sums; frames count as units of time.
-    sums = [np.cumsum(seen * (index[:, None] ** power), axis=1) for power in range(3)]
-    sums = [np.concatenate([np.zeros((n, 1, 2)), total], axis=1) for total in sums]
-    width = sensing.window[:, None]
-    first = np.maximum(index + 1 - width, 0)
-    rows = np.arange(n)[:, None]
-    m0, m1, m2 = (total[:, 1:] - total[rows, first] for total in sums)
-    w = width[..., None].astype(float)
-    middle = (index[None, :, None] + 1 - w + index[None, :, None]) / 2.0
-    first_moment = m1 - middle * m0
-    second_moment = m2 - 2.0 * middle * m1 + middle * middle * m0
-    slope = first_moment * 12.0 / (w * (w * w - 1.0))
-    mean_sq = (w * w - 1.0) / 12.0
-    curve = (second_moment - mean_sq * m0) * 180.0 / (w * (w * w - 1.0) * (w * w - 4.0))
-    step = sensing.frame_s[:, None, None]
-    acc = np.where(sensing.has_acc[:, None, None], 2.0 * curve / step**2, np.nan)
-    return m0 / w + slope * (w - 1.0) / 2.0, slope / step, acc
-
-
-def line_covariance(sd_m: Array, window: Array, frame_s: Array) -> Array:
-    """Return cov (n, 6, 6) of position and velocity at the newest end of a fitted line."""
-    w = window.astype(float)
-    place_var = sd_m**2 * (4.0 * w - 2.0) / (w * (w + 1.0))
-    cross = sd_m**2 * 6.0 / (w * (w + 1.0) * frame_s)
-    vel_var = sd_m**2 * 12.0 / (w * (w * w - 1.0) * frame_s**2)
-    axes = np.arange(3)
-    cov = np.zeros((len(w), 6, 6))
-    cov[:, axes, axes] = place_var[:, None]
-    cov[:, axes, axes + 3] = cov[:, axes + 3, axes] = cross[:, None]
-    cov[:, axes + 3, axes + 3] = vel_var[:, None]
-    return cov
-
-
 def _is_clear(mover: Array, target: Array, sensing: Sensing, config: TriggerConfig) -> Array:
     """Say in which frames (n, f) the body that brings the contact is faster than the gate by 1/4.
 
     That body is the one with the higher peak speed: a target that creeps before the hand has
     started says nothing of the hand.
     """
-    cov = line_covariance(sensing.sd_m, sensing.window, sensing.frame_s)
-    gate = np.maximum(config.min_speed_m_s, config.min_speed_sd * np.sqrt(cov[:, 3, 3]))
+    speed_sd = estimate.moving_speed_sd(sensing)
+    gate = np.maximum(config.min_speed_m_s, config.min_speed_sd * speed_sd)
     speeds = [
         np.linalg.norm(np.gradient(body, axis=1), axis=2) / sensing.frame_s[:, None]
         for body in (mover, target)
@@ -210,11 +160,13 @@ def _as_tracks(
     scene, frame = rows
     n = 2 * len(scene)
     position, velocity, acc = (np.zeros((n, 3)) for _ in range(3))
+    cov = np.zeros((n, 6, 6))
     for body, fit in enumerate(fits):
-        for filled, part in zip((position, velocity, acc), fit):
-            filled[body::2, :2] = part[scene, frame]
+        position[body::2, :2] = fit.position[scene, frame]
+        velocity[body::2, :2] = fit.velocity[scene, frame]
+        acc[body::2, :2] = fit.acc[scene, frame]
+        cov[body::2] = estimate.covariance(fit, sensing, rows)
     owner = np.repeat(scene, 2)
-    cov = line_covariance(sensing.told_sd_m, sensing.window, sensing.frame_s)
     tracks = Tracks(
         seq=0,
         t_s=0.0,
@@ -223,7 +175,7 @@ def _as_tracks(
         pos_m=position,
         vel_m_s=velocity,
         acc_m_s2=acc,
-        cov=cov[owner],
+        cov=cov,
         radius_m=0.5 * scenes.radius_m[owner],
         n_samples=sensing.window[owner],
         status=np.zeros(n, dtype=np.int64),
