@@ -1,9 +1,10 @@
 """The folder a run leaves behind: decisions, tracks, annotated video, recording and pictures."""
 
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Mapping, Optional, Type, Union
+from typing import List, Mapping, Optional, Type, Union
 
 import cv2
 
@@ -15,6 +16,10 @@ from apex_edge.record.summary import SceneNotes
 from apex_edge.record.tracks_csv import TracksCsv
 from apex_edge.record.video import AnnotatedVideo
 from apex_edge.types import Array, Step
+
+
+MAX_UNDRAWN = 600
+"""A picture of 640x480 takes 0.9 MB until it is drawn."""
 
 
 class RunOutputs:
@@ -30,6 +35,8 @@ class RunOutputs:
     fps : of the annotated video.
     metadata : remembered in the recording; None means no recording.
     video_suffix : ``.mp4`` (fast, small) or ``.webm`` (plays in browsers).
+    draws_later : draw only when the context is left. Drawing and encoding cost 20 ms a frame, which
+        a run in real time has no time for.
 
     Raises
     ------
@@ -42,6 +49,7 @@ class RunOutputs:
         fps: float,
         metadata: Optional[Mapping[str, str]] = None,
         video_suffix: str = ".mp4",
+        draws_later: bool = False,
     ) -> None:
         self.folder = Path(folder)
         self.notes: Optional[SceneNotes] = None
@@ -51,6 +59,8 @@ class RunOutputs:
         self._log: Optional[DecisionLog] = None
         self._tracks: Optional[TracksCsv] = None
         self._recording: Optional[RecordingWriter] = None
+        self._draws_later = draws_later
+        self._undrawn: List[Step] = []
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -73,11 +83,14 @@ class RunOutputs:
         trace: Optional[TracebackType],
     ) -> None:
         """Complete or abandon every file, then draw the pictures of a run that ended well."""
+        if kind is None:
+            for step in self._undrawn:
+                self._draw(step)
         self._stack.__exit__(kind, error, trace)
         if kind is None:
             self.notes = self._story.notes()
-            self._draw("montage.png", self.notes.montage)
-            self._draw("safe_points.png", self.notes.safe_points)
+            self._save("montage.png", self.notes.montage)
+            self._save("safe_points.png", self.notes.safe_points)
 
     def write(self, step: Step) -> None:
         """Write one step; without its picture only the logs get it.
@@ -93,13 +106,18 @@ class RunOutputs:
             self._tracks = self._stack.enter_context(tracks)
         self._log.write(step)
         self._tracks.write(step)
-        self._story.write(step)
-        if not step.frame.colour_bgr.size:
-            return
-        self.video.write(step)
-        if self._recording is not None:
+        if self._recording is not None and step.frame.colour_bgr.size:
             self._recording.write(step)
+        if not self._draws_later:
+            self._draw(step)
+        elif len(self._undrawn) < MAX_UNDRAWN:
+            self._undrawn.append(replace(step, frame=replace(step.frame, depth_mm=None)))
 
-    def _draw(self, name: str, picture: Optional[Array]) -> None:
+    def _draw(self, step: Step) -> None:
+        self._story.write(step)
+        if step.frame.colour_bgr.size:
+            self.video.write(step)
+
+    def _save(self, name: str, picture: Optional[Array]) -> None:
         if picture is not None and not cv2.imwrite(str(self.folder / name), picture):
             raise RecordingError(f"{self.folder / name}: cannot write the picture")

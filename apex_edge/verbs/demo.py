@@ -130,10 +130,10 @@ def _show_scene(kit: Kit, kind: str, seed: int, out: Path) -> SceneResult:
     scene = make(kind, seed)
     narrator = Narrator(_say)
     metadata = {"apex_edge": __version__, "scene": f"{kind}:{seed}"}
-    with RunOutputs(out / kind, kit.config.twin.fps, metadata, ".webm") as outputs, Sink(
-        outputs.write
-    ) as sink:
-        outcome = ScenePlayer(kit, os.environ).play(scene, _both(narrator.see, sink.put), True)
+    outputs = RunOutputs(out / kind, kit.config.twin.fps, metadata, ".webm", draws_later=True)
+    with outputs:
+        with Sink(outputs.write) as sink:
+            outcome = ScenePlayer(kit, os.environ).play(scene, _both(narrator.see, sink.put), True)
         _say(_ending(outcome))
     assert outputs.notes is not None
     return _result(outcome, outputs.notes, outputs.video.path)
