@@ -1,4 +1,3 @@
-import logging
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,7 +10,6 @@ from apex_edge import plugins
 from apex_edge.errors import ConfigError
 from apex_edge.triggers.analytic import AnalyticTrigger
 from apex_edge.triggers.base import Persistence, TriggerConfig
-from apex_edge.triggers.linear import LinearTrigger
 
 BOTH = pytest.mark.parametrize("name", ["analytic", "linear"])
 DT_S = 1.0 / 30.0
@@ -160,27 +158,6 @@ def test_more_noise_makes_the_analytic_rule_more_and_not_less_ready_to_fire():
         for sd in (0.001, 0.01)
     ]
     assert fired == [False, True]
-
-
-def test_outside_its_domain_the_linear_trigger_says_so_and_falls_back():
-    linear, rule = LinearTrigger(), AnalyticTrigger()
-    assert not score(linear, approaching()).is_fallback[0]
-    young = approaching(n_samples=np.array([15, 3]))
-    large = approaching(radius_m=np.array([0.06, 0.06]))
-    for odd in (young, large):
-        found, expected = score(linear, odd), score(rule, odd)
-        assert found.is_fallback[0]
-        assert found.probability[0] == expected.probability[0]
-    # another horizon than the trained one
-    assert linear.score(difference(approaching()), 3.0).is_fallback[0]
-
-
-def test_settings_that_void_the_certificate_are_named(caplog):
-    with caplog.at_level(logging.WARNING):
-        LinearTrigger()
-        assert not caplog.records
-        LinearTrigger(TriggerConfig(persist_hits=1))
-    assert "certified" in caplog.text
 
 
 def test_settings_are_strict():
