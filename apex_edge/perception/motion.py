@@ -21,7 +21,11 @@ from apex_edge.types import Array
 
 PAPER_WINDOW = 5
 _GATE_SHARE = {1: 1.0, 2: 1.21, 3: 1.38}  # same probability as one axis at 4 sigma
-_CURVED = {1: 12.0, 2: 16.0, 3: 18.0}  # chi-square of curvature that one line in 2000 shows by chance
+_CURVED = {
+    1: 12.0,
+    2: 16.0,
+    3: 18.0,
+}  # chi-square of curvature that one line in 2000 shows by chance
 _MISFIT_SIGMA = 4.0
 _LEAN_SHARE = 0.4  # the newest samples pull the fit, so their residuals are small
 _ONSET = 0.1  # of the stated noise per frame: motion that has just begun goes unnoticed
@@ -218,7 +222,7 @@ class MotionEstimator:
         return acc * span * span / 12.0, acc * span / 2.0
 
     def _noise_sd(self, sample: Sample) -> float:
-        """Return the noise of a sighting: what the track has shown, within reach of what is stated."""
+        """Return the noise of a sighting: what the track has shown, near what is stated."""
         if self._shown_sd <= 0.0:
             return sample.sd
         # The shown sd is itself off by a quarter: believe less noise only where it is clearly less.
@@ -277,7 +281,9 @@ class MotionEstimator:
             fit = self._best_fit(self._window)
             dim = fit.beta.shape[1]
             limit = 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / max(1, fit.dof))
-            holds = fit.misfit <= limit * fit.dof and fit.lean <= _LEAN_SHARE * _CURVED.get(dim, 16.0)
+            holds = fit.misfit <= limit * fit.dof and fit.lean <= _LEAN_SHARE * _CURVED.get(
+                dim, 16.0
+            )
             if len(self._window) <= 4 or holds:
                 self._fit = fit
                 return

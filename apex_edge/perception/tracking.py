@@ -20,6 +20,7 @@ from apex_edge.perception.settings import PerceptionConfig
 from apex_edge.types import Array, CameraModel, Detections, Tracks, TrackStatus
 
 _SIZE_MEMORY = 15
+_FRAGMENT_RADII = 1.5  # two whole objects of one size are at least two radii apart
 _GATE_RADII = 1.0  # two sightings within one object radius may always be the same object
 
 
@@ -119,7 +120,8 @@ class Tracker:
                 track.status = TrackStatus.PREDICTED
         taken = set(found.values())
         for row in range(len(detections.name)):
-            if row not in taken and np.all(np.isfinite(where[row])):
+            is_free = row not in taken and bool(np.all(np.isfinite(where[row])))
+            if is_free and not self._is_fragment(detections, where, row):
                 self._start(detections, where, row, camera)
         return self._report(detections.seq, detections.t_s, camera)
 
@@ -162,6 +164,19 @@ class Tracker:
                 found[index] = row
                 taken.add(row)
         return found
+
+    def _is_fragment(self, detections: Detections, where: Array, row: int) -> bool:
+        """Say whether a sighting lies inside an object that is already followed.
+
+        Something in front can cut an object in two; two whole objects cannot be that near.
+        """
+        for track in self._tracks:
+            if track.name != detections.name[row] or track.status == TrackStatus.LOST:
+                continue
+            centre = track.motion.predict(detections.t_s).x
+            if float(np.linalg.norm(where[row] - centre)) < _FRAGMENT_RADII * track.size:
+                return True
+        return False
 
     def _start(
         self, detections: Detections, where: Array, row: int, camera: Optional[CameraModel]

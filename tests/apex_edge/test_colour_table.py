@@ -71,7 +71,9 @@ def test_a_picture_is_labelled_pixel_by_pixel(pixels):
 def test_window_of_a_picture_is_labelled_like_the_picture():
     picture = np.random.RandomState(1).randint(0, 256, (40, 60, 3)).astype(np.uint8)
     table = ColourTable.builtin()
-    assert np.array_equal(table.classify(picture)[7:31, 11:52], table.classify(picture[7:31, 11:52]))
+    assert np.array_equal(
+        table.classify(picture)[7:31, 11:52], table.classify(picture[7:31, 11:52])
+    )
 
 
 def test_file_gives_back_the_same_table(tmp_path):
