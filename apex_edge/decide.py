@@ -32,7 +32,7 @@ class DecideConfig:
     margin_s: float = setting(0.15, "s kept between the latest start of the arm and the need", 0, 2)
     clear_s: float = setting(0.4, "s without an alarm after which a watched hazard is over", 0, 5)
     hold_s: float = setting(3.0, "s without an alarm after which the arm leaves its post", 0, 60)
-    score_drop: float = setting(0.5, "how far below the reflex's score a planner may choose", 0, 10)
+    score_drop: float = setting(0.2, "how far below the reflex's score (0..1) a planner may choose", 0, 1)
     n_confirm: int = setting(2, "frames in a row that must fault the post before it is left", 1, 10)
 
 
