@@ -15,7 +15,7 @@ NO_37 := no CPython 3.7 found (python3.7 on the PATH, pyenv, or PYTHON37=/path/t
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup demo test test-default test-37 lint types bench clean
+.PHONY: help setup demo test test-default test-37 lint style types bench clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -47,7 +47,9 @@ test-37:
 	  echo "*** SKIPPED the tests on Python 3.7: $(NO_37)" >&2; \
 	fi
 
-lint: types ## style, layer order, 3.7 syntax and types
+lint: style types ## style, layer order, 3.7 syntax and types
+
+style:
 	@"$(PYTHON)" $(SETUP) $(VENV) --extras test,lint --optional train
 	$(RUN) -m ruff check .
 	$(RUN) -m ruff format --check .
