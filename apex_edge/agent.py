@@ -17,6 +17,7 @@ from apex_edge.act import Actuator
 from apex_edge.cameras.base import Camera
 from apex_edge.config import setting
 from apex_edge.decide import Decider, OpenHazard, Situation
+from apex_edge.errors import CameraError
 from apex_edge.perception import Perception
 from apex_edge.planners.base import Planner, PlanRequest
 from apex_edge.simulate.base import PhysicsSim, SimulateConfig, problem_from
@@ -40,6 +41,9 @@ from apex_edge.types import (
 )
 
 log = logging.getLogger(__name__)
+
+STALE_S = 0.25
+"""Without a frame for this long the arm holds: what it was told to do rests on an old picture."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,13 @@ class Agent:
             arm=arm,
             timing_s=watch.timing_s,
         )
+
+    def hold(self) -> None:
+        """Stop the arm where it is and start afresh: what was foreseen is no longer true."""
+        self._parts.planner.cancel()
+        self._parts.decider.reset()
+        if self._parts.actuator is not None:
+            self._parts.actuator.stop()
 
     def close(self) -> None:
         """Drop what is in flight and leave the arm where it is, stopped."""
@@ -306,7 +317,7 @@ def run(
     Parameters
     ----------
     on_step : gets every Step (recorder, narrator, page); must not block.
-    stall_s : a live camera silent for this long is a fault.
+    stall_s : the arm holds when no frame has come for STALE_S; after this long it is a fault.
 
     Raises
     ------
@@ -314,7 +325,7 @@ def run(
     """
     try:
         while not is_over():
-            frame = camera.read(stall_s)
+            frame = _next_frame(agent, camera, stall_s)
             if frame is None:
                 return
             on_step(agent.step(frame))
@@ -323,3 +334,17 @@ def run(
         raise
     finally:
         agent.close()
+
+
+def _next_frame(agent: Agent, camera: Camera, stall_s: float) -> Optional[Frame]:
+    """Read a frame; hold the arm while none comes, and give up after ``stall_s``."""
+    n_tries = max(1, round(stall_s / STALE_S))
+    for n_left in reversed(range(n_tries)):
+        try:
+            return camera.read(STALE_S)
+        except CameraError as error:
+            if n_left == 0:
+                raise
+            log.warning("no frame: holding the arm (%s)", error)
+            agent.hold()
+    return None

@@ -84,9 +84,7 @@ def test_without_arm_bytes_the_same_scene_ends_in_a_collision(kit: Kit) -> None:
 
 
 @pytest.mark.parametrize("answer", ["worst", "no_action", "prose"])
-def test_no_answer_of_a_language_model_makes_an_implicit_scene_worse(
-    kit: Kit, answer: str
-) -> None:
+def test_no_answer_of_a_language_model_makes_an_implicit_scene_worse(kit: Kit, answer: str) -> None:
     with FakeServer(answering(answer, 0.05, 1)) as server:
         env = {"APEX_LLM_BASE_URL": server.url, "APEX_LLM_MODEL": "scripted"}
         steps: List[Step] = []
