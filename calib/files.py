@@ -1,7 +1,7 @@
 """Pictures in, results out: one picture of a file or video; files written whole or not at all."""
 
 from pathlib import Path
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict, List, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ def read_picture(path: Path, frame: int = 0) -> Array:
     if path.suffix.lower() in _PICTURES:
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
         # OpenCV asserts on an empty buffer instead of returning None.
-        picture = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+        picture: Optional[Array] = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
         if picture is None:
             raise RecordingError(f"{path}: not a picture that OpenCV can read")
         if frame:
@@ -38,16 +38,16 @@ def _read_frame(path: Path, frame: int) -> Array:
     try:
         if not video.isOpened():
             raise RecordingError(f"{path}: neither a picture nor a video that OpenCV can read")
-        picture = None
+        picture: Optional[Array] = None
         # Decoded in order: seeking lands on the wrong frame in many compressed files.
         for index in range(frame + 1):
             is_read, picture = video.read()
             if not is_read or picture is None:
                 raise RecordingError(f"{path}: frame {frame} asked for, the video has {index}")
+        assert picture is not None  # at least one frame was read
+        return picture
     finally:
         video.release()
-    result: Array = picture
-    return result
 
 
 def write_whole(files: Dict[Path, bytes]) -> None:

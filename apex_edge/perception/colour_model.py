@@ -51,13 +51,14 @@ def features(bgr: Array) -> Array:
     """
     blue, green, red = np.asarray(bgr, dtype=np.float64).reshape(-1, 3).T
     total = blue + green + red + _DARK
-    return np.column_stack(
+    result: Array = np.column_stack(
         [
             (2.0 * red - green - blue) / (2.0 * total),
             np.sqrt(3.0) * (green - blue) / (2.0 * total),
             np.log(total / 3.0),
         ]
     )
+    return result
 
 
 def chroma_noise_var(log_luma: Array) -> Array:

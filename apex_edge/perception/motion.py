@@ -292,10 +292,11 @@ class MotionEstimator:
 
     def _best_fit(self, samples: List[Sample]) -> Fit:
         line = self._solve(samples, 2)
-        if len(samples) < 4:
-            return line
+        needed = _CURVED.get(line.beta.shape[1], 16.0)
+        if len(samples) < 4 or line.misfit <= needed:
+            return line  # no curve can gain more than the whole misfit
         curve = self._solve(samples, 3)
-        is_curved = line.misfit - curve.misfit > _CURVED.get(line.beta.shape[1], 16.0)
+        is_curved = line.misfit - curve.misfit > needed
         return curve if is_curved else line
 
     def _solve(self, samples: List[Sample], order: int) -> Fit:

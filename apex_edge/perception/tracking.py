@@ -9,6 +9,7 @@ With a camera calibration tracks live in metres on the table; without one in pix
 
 from collections import deque
 from dataclasses import dataclass
+from statistics import median
 from typing import Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -39,7 +40,7 @@ class _Track:
 
     @property
     def size(self) -> float:
-        return float(np.median(self.sizes))
+        return float(median(self.sizes))
 
 
 class Tracker:
@@ -81,7 +82,7 @@ class Tracker:
             if not np.all(np.isfinite(middle)):
                 continue
             dim = len(state.x)
-            sd = scale * float(np.sqrt(np.max(np.diag(state.cov)[:dim])))
+            sd = scale * float(np.sqrt(state.cov.diagonal()[:dim].max()))
             swing = 2.0 * scale * float(np.linalg.norm(state.v)) * (t_s - track.last_seen_s)
             half = (
                 0.5 * track.box_px[2:]
@@ -142,7 +143,10 @@ class Tracker:
             self._tracks = []
 
     def _associate(self, detections: Detections, where: Array) -> Dict[int, int]:
-        """Return track index -> detection row, nearest pairs of one colour first, within gates."""
+        """Return track index -> detection row, nearest pairs of one colour first, within gates.
+
+        A track that was out of sight chooses after those that were not: it may be elsewhere.
+        """
         pairs = []
         for index, track in enumerate(self._tracks):
             if track.status == TrackStatus.LOST:
@@ -151,15 +155,18 @@ class Tracker:
             if not rows:
                 continue
             state = track.motion.predict(detections.t_s)
-            sd = np.sqrt(float(np.max(np.diag(state.cov)[: len(state.x)])))
+            sd = float(np.sqrt(state.cov.diagonal()[: len(state.x)].max()))
             dt = detections.t_s - track.last_seen_s
             swing = 2.0 * float(np.linalg.norm(state.v)) * dt
             gate = 4.0 * (sd + track.pos_sd) + swing + _GATE_RADII * track.size
             gaps = np.linalg.norm(where[rows] - state.x, axis=1)
-            pairs += [(float(gap), index, row) for gap, row in zip(gaps, rows) if gap <= gate]
+            was_missed = track.status != TrackStatus.SEEN
+            pairs += [
+                (was_missed, float(gap), index, row) for gap, row in zip(gaps, rows) if gap <= gate
+            ]
         found: Dict[int, int] = {}
         taken = set()
-        for _, index, row in sorted(pairs):
+        for _, _, index, row in sorted(pairs):
             if index not in found and row not in taken:
                 found[index] = row
                 taken.add(row)
