@@ -45,7 +45,8 @@ class SceneOutcome:
     """How one scene went.
 
     ``is_collision`` the mover touched the protected object; ``is_target_touched`` the arm did;
-    ``free`` what would have happened with no arm; ``n_moves`` interventions and redirections; ``source`` of the first one.
+    ``free`` what would have happened with no arm; ``n_moves`` interventions and redirections;
+    ``source`` of the first one.
     ``frame_to_command_s`` from capture to the last servo byte of the first command.
     """
 

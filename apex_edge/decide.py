@@ -29,10 +29,11 @@ class DecideConfig:
         "explicit hazards: act at once; implicit ones: let the planner speak until the deadline",
         choices=(REFLEX_FIRST, WAIT_UNTIL_DEADLINE),
     )
-    margin_s: float = setting(0.15, "s kept between the latest start of the arm and the need", 0, 2)
+    margin_s: float = setting(0.25, "s kept between the latest start of the arm and the need", 0, 2)
     clear_s: float = setting(0.4, "s without an alarm after which a watched hazard is over", 0, 5)
     hold_s: float = setting(3.0, "s without an alarm after which the arm leaves its post", 0, 60)
-    score_drop: float = setting(0.2, "how far below the reflex's score (0..1) a planner may choose", 0, 1)
+    score_drop: float = setting(0.2, "how far below the reflex's score a planner may go", 0, 1)
+    good_score: float = setting(0.8, "waiting ends when no candidate scores this any more", 0, 1)
     n_confirm: int = setting(2, "frames in a row that must fault the post before it is left", 1, 10)
 
 
@@ -218,12 +219,18 @@ class Decider:
         return self._decision(now, action, source, verdict)
 
     def _deadline_s(self, now: Situation) -> float:
-        """Return the latest start: pessimistic need - arm travel - margin, over the best ones."""
+        """Return the latest start: pessimistic need - arm travel - margin, over the good ones.
+
+        Waiting uses candidates up, the best first. So it ends with the last good one, not with the
+        last safe one; when none is good, the latest start is now.
+        """
         rollouts = now.rollouts
         if rollouts is None or len(rollouts.best) == 0:
             return float("nan")
-        slack_s = float(np.max(rollouts.slack_s[rollouts.best]))
-        return now.t_s + slack_s - self._config.margin_s
+        good = rollouts.best[rollouts.score[rollouts.best] >= self._config.good_score]
+        if len(good) == 0:
+            return now.t_s
+        return now.t_s + float(np.max(rollouts.slack_s[good])) - self._config.margin_s
 
     def _decision(
         self,

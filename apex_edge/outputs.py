@@ -17,7 +17,6 @@ from apex_edge.record.tracks_csv import TracksCsv
 from apex_edge.record.video import AnnotatedVideo
 from apex_edge.types import Array, Step
 
-
 MAX_UNDRAWN = 600
 """A picture of 640x480 takes 0.9 MB until it is drawn."""
 

@@ -48,7 +48,8 @@ class SimulateConfig:
     horizon_s: float = setting(5.0, "how far ahead is simulated, s", 0.1, 60.0)
     dt_s: float = setting(0.01, "Euler step, s", 0.0005, 0.5)
     n_candidates: int = setting(1412, "intercept points", 1, 100000)
-    clearance_m: float = setting(0.004, "least gap between tip and what it must not touch", 0, 0.1)
+    # a block's corners stick out by 0.4 of its half side (8 mm of 20), its place is off by 3 mm
+    clearance_m: float = setting(0.010, "least gap between arm and what it must not touch", 0, 0.1)
     min_slack_s: float = setting(0.1, "least time the tip must stand before the mover comes", 0, 5)
     glance_ratio: float = setting(
         0.6, "greatest offset of a hit from the middle that still stops, of both radii", 0.05, 1.0
@@ -93,7 +94,7 @@ class RolloutProblem:
     tip_radius_m: float
     horizon_s: float = 5.0
     dt_s: float = 0.01
-    clearance_m: float = 0.004
+    clearance_m: float = 0.010
     min_slack_s: float = 0.1
     glance_ratio: float = 0.6
     n_sigma: float = 2.0

@@ -1,4 +1,4 @@
-"""Seeded scenes of five kinds; every scene keeps the promise of its kind, checked by running it.
+"""Seeded scenes of six kinds; every scene keeps the promise of its kind, checked by running it.
 
 A scene is drawn at random and then run once with no arm. When it does not do what its kind says
 (a collision that never happens, a near miss that touches) another one is drawn from the same
@@ -29,8 +29,6 @@ from apex_edge.twin.world import TwinWorld
 
 BALL_RADIUS_M = 0.015
 FLICK_WAY_M = 0.03
-# Late starters are in view at rest and leave less than 1.5 s; half of the drafts fail the check.
-LATE_SHARE = 0.15
 NEAR_MISS_GAP_M = (0.008, 0.040)
 SHORT_STOP_GAP_M = (0.015, 0.060)
 N_TRIES = 400
@@ -43,7 +41,8 @@ def make(kind: str, seed: int) -> Scenario:
 
     Parameters
     ----------
-    kind : "collision", "no-moving", "near-miss", "implicit" or "many".
+    kind : one of ``KINDS``. A "collision" can be seen to come for 1.5 s at least, a "late-start" is
+        in view at rest and leaves less.
     seed : 0 or more.
 
     Raises
@@ -125,9 +124,8 @@ def _scene(
     return Scenario(kind, seed, tuple(objects), hands, 8.0, mover, target, is_collision, mode)
 
 
-def _collision(rng: np.random.RandomState, seed: int) -> Optional[Scenario]:
+def _collision(rng: np.random.RandomState, seed: int, is_late: bool = False) -> Optional[Scenario]:
     red = red_block(rng)
-    is_late = rng.uniform() < LATE_SHARE
     is_ball = rng.uniform() < 0.6
     start = _start_for(rng, red, *((0.15, 0.18) if is_late else (0.20, 0.35)))
     side = _uniform(rng, -0.008, 0.008)
@@ -146,11 +144,16 @@ def _collision(rng: np.random.RandomState, seed: int) -> Optional[Scenario]:
     objects = [red, mover] + clutter(rng, int(rng.randint(0, 3)), [red, mover], mover.pos_m, aim)
     if not is_safe_path(mover, start, aim) or not is_clear(objects):
         return None
-    scenario = _scene("collision", seed, objects, hand, True)
+    kind = "late-start" if is_late else "collision"
+    scenario = _scene(kind, seed, objects, hand, True)
     run = free_run(scenario)
     latest_s = wait_s + (2.6 if is_late else 5.6)
     is_right = 2.0 <= run.t_contact_s <= latest_s and (run.visible_s < 1.5) == is_late
     return scenario if is_right else None
+
+
+def _late_start(rng: np.random.RandomState, seed: int) -> Optional[Scenario]:
+    return _collision(rng, seed, is_late=True)
 
 
 def _still(rng: np.random.RandomState, seed: int) -> Optional[Scenario]:
@@ -267,6 +270,7 @@ def _many(rng: np.random.RandomState, seed: int) -> Optional[Scenario]:
 
 _MAKERS: Dict[str, Callable[[np.random.RandomState, int], Optional[Scenario]]] = {
     "collision": _collision,
+    "late-start": _late_start,
     "no-moving": _still,
     "near-miss": _near_miss,
     "implicit": _implicit,

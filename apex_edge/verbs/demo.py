@@ -34,6 +34,7 @@ WHAT_COMES = {
     "no-moving": "nothing moves, and nothing should be done",
     "implicit": "a green car nears a child in a red T-shirt; nobody says that this is a hazard",
     "near-miss": "something passes close by the red block",
+    "late-start": "something at rest starts so late that the arm may not get there",
     "many": "many objects, several of them moving",
 }
 

@@ -21,11 +21,11 @@ outcome = lru_cache(maxsize=None)(free_run)
 TIP_RADIUS_M = 0.012
 
 
-def test_collision_scenes_touch_and_most_are_seen_in_time():
-    runs = [outcome(scene("collision", seed)) for seed in SEEDS]
-    assert all(2.0 <= run.t_contact_s <= 6.0 for run in runs)
-    n_seen = sum(run.visible_s >= 1.5 for run in runs)
-    assert 0.85 * len(runs) <= n_seen < len(runs)
+@pytest.mark.parametrize(("kind", "is_seen_in_time"), [("collision", True), ("late-start", False)])
+def test_colliding_scenes_touch_and_are_seen_in_time_or_late_as_promised(kind, is_seen_in_time):
+    runs = [outcome(scene(kind, seed)) for seed in SEEDS]
+    assert all(2.0 <= run.t_contact_s <= 6.5 for run in runs)
+    assert all((run.visible_s >= 1.5) is is_seen_in_time for run in runs)
     assert all(run.min_gap_m <= 0.0 for run in runs)
 
 
@@ -161,5 +161,5 @@ def test_unknown_kind_and_negative_seed_are_refused():
         make("collision", -1)
 
 
-RED_1 = (0.08023337653074109, 0.09904210320829417)
-CONTACT_1 = 3.974
+RED_1 = (0.06707351305672432, -0.06114470743824185)
+CONTACT_1 = 4.406
