@@ -1,8 +1,10 @@
 """Write a video of annotated frames."""
 
 import logging
+import os
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Dict, Optional, Tuple, Union
+from typing import Dict, Iterator, Optional, Tuple, Union
 
 import cv2
 
@@ -112,13 +114,28 @@ class AnnotatedVideo(WholeFile):
         for path in (self.path, self.path.with_suffix(".avi")):
             part = _part_of(path)
             code = cv2.VideoWriter.fourcc(*CODECS[path.suffix])
-            writer = cv2.VideoWriter(str(part), code, self._fps, self._size)
+            with _silenced():
+                writer = cv2.VideoWriter(str(part), code, self._fps, self._size)
             if writer.isOpened():
                 if path != self.path:
                     LOG.warning("%s: no codec here, writing %s", self.path, path.name)
                 self.path, self.part = path, part
                 return writer
         raise RecordingError(f"{self.path}: OpenCV cannot write a video here")
+
+
+@contextmanager
+def _silenced() -> Iterator[None]:
+    """Keep FFmpeg's own note off the terminal: WebM has no tag for VP8, which is harmless."""
+    kept = os.dup(2)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
 
 
 def _part_of(path: Path) -> Path:
