@@ -44,8 +44,8 @@ class PlanRequest:
     """What a planner is shown: one snapshot of the scene and its simulated outcomes.
 
     ``snapshot`` is the ``seq`` of ``rollouts``; ``deadline_s`` is absolute, on the same clock as
-    ``t_s``; ``mode`` is "reflex_first" or "wait_until_deadline"; ``summary`` is for people and
-    logs, it never reaches a prompt.
+    ``t_s``; ``mode`` is "reflex_first" or "wait_until_deadline"; ``summary`` is
+    the graph stage's S.
     """
 
     snapshot: int

@@ -115,7 +115,7 @@ def render(profile: str, request: PlanRequest, n_choices: int, seed: int) -> Pro
         rolling = _compact_rows(request.rollouts, indices)
         schema: Mapping[str, Any] = index_schema(len(indices))
     else:
-        state = _json_state(request.tracks)
+        state = _json_state(request.tracks, request.summary)
         rolling = _json_rows(request.rollouts, indices)
         schema = _POINT_SCHEMA
     text = TEMPLATES[profile].format(state=state, rolling_results=rolling)
@@ -152,8 +152,11 @@ def _rows_of(tracks: Tracks) -> List[int]:
     return [int(i) for i in np.flatnonzero(is_sane.all(axis=1))]
 
 
-def _json_state(tracks: Tracks) -> str:
-    """Write the tracks as JSON in metres; the paper does not print its own format."""
+def _json_state(tracks: Tracks, summary: str) -> str:
+    """Write tracks (metres) and summary S as JSON; the paper does not print its own format.
+
+    Our graph stage words the summary; it is left out when it could hold a name from outside.
+    """
     objects = [
         {
             "name": safe_name(tracks.name[i], tracks.track_id[i]),
@@ -162,7 +165,10 @@ def _json_state(tracks: Tracks) -> str:
         }
         for i in _rows_of(tracks)
     ]
-    return json.dumps({"unit": "m", "objects": objects})
+    state: Dict[str, Any] = {"unit": "m", "objects": objects}
+    if all(name in ALLOWED_NAMES for name in tracks.name):
+        state["summary"] = summary
+    return json.dumps(state)
 
 
 def _json_rows(rollouts: Rollouts, indices: Tuple[int, ...]) -> str:
