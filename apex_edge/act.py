@@ -11,8 +11,9 @@ import numpy as np
 
 from apex_edge.config import setting
 from apex_edge.types import ArmAck, ArmCommand, ArmState, Array, Candidates, Decision
+from firmware_bridge.errors import LinkLost
 from firmware_bridge.kinematics import ArmModel
-from firmware_bridge.session import ArmSession
+from firmware_bridge.session import ArmSession, SessionState
 
 _MIN_DURATION_S = 0.02  # one PWM period
 _STILL_RAD = 1e-6
@@ -81,6 +82,16 @@ class Actuator:
         joint = self._session.read()
         tip_m = self._arm.tip(joint.joints_rad)[0]
         return ArmState(joint.t_s, joint.joints_rad, tip_m, joint.is_moving, joint.source)
+
+    def check(self) -> None:
+        """Raise when the arm can no longer be commanded.
+
+        Raises
+        ------
+        LinkLost : the session is in FAULT or ESTOP; it takes a person to leave that.
+        """
+        if self._session.state in (SessionState.FAULT, SessionState.ESTOP):
+            raise LinkLost(f"the arm is in {self._session.state.value}: {self._session.reason}")
 
     def stop(self) -> None:
         """Hold the arm where it is.

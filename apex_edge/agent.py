@@ -44,6 +44,12 @@ log = logging.getLogger(__name__)
 
 STALE_S = 0.25
 """Without a frame for this long the arm holds: what it was told to do rests on an old picture."""
+MAX_AGE_S = 0.5
+"""No move is started on a picture older than this."""
+SWITCH_S = 0.2
+"""Another hazard must be this much more urgent to be followed instead of the open one."""
+MOVING_M_S = 0.02
+MOVES = ("intervene", "redirect", "return")
 
 
 @dataclass(frozen=True)
@@ -151,16 +157,21 @@ class Agent:
 
     def hold(self) -> None:
         """Stop the arm where it is and start afresh: what was foreseen is no longer true."""
-        self._parts.planner.cancel()
-        self._parts.decider.reset()
         if self._parts.actuator is not None:
             self._parts.actuator.stop()
+        self._parts.planner.cancel()
+        self._parts.decider.blind(self._clock())
+        self._parts.trigger.reset()
+        self._parts.perception.reset()
+        self._graph = None
 
     def close(self) -> None:
         """Drop what is in flight and leave the arm where it is, stopped."""
-        self._parts.planner.close()
-        if self._parts.actuator is not None:
-            self._parts.actuator.stop()
+        try:
+            if self._parts.actuator is not None:
+                self._parts.actuator.stop()
+        finally:
+            self._parts.planner.close()
 
     def _difference(self, frame: Frame, tracks: Tracks) -> Optional[DifferenceGraph]:
         """Build G_t and, against the frame before, the difference graph."""
@@ -173,23 +184,42 @@ class Agent:
         return graph.difference(older, newer)
 
     def _most_urgent(self, hazards: Optional[HazardScores], tracks: Tracks) -> Optional[OpenHazard]:
-        """Return the alarm with the earliest pessimistic contact about a protected object."""
+        """Return the alarm with the earliest pessimistic contact about a protected object.
+
+        The one that is followed already keeps its place unless another is clearly more urgent.
+        """
         if hazards is None or not hazards.is_fired.any():
             return None
-        names = dict(zip((int(i) for i in tracks.track_id), tracks.name))
-        urgent: List[Tuple[float, int]] = []
-        for edge in np.flatnonzero(hazards.is_fired):
-            if names.get(int(hazards.target_id[edge])) in self._config.protected:
-                urgent.append((float(hazards.ttc_early_s[edge]), int(edge)))
-        if not urgent:
+        alarms = [
+            alarm
+            for edge in np.flatnonzero(hazards.is_fired)
+            for alarm in self._alarm(hazards, int(edge), tracks)
+        ]
+        if not alarms:
             return None
-        _, edge = min(urgent)
-        return OpenHazard(
-            mover_id=int(hazards.mover_id[edge]),
-            target_id=int(hazards.target_id[edge]),
-            ttc_s=float(hazards.ttc_s[edge]),
-            ttc_early_s=float(hazards.ttc_early_s[edge]),
-        )
+        first = min(alarms, key=lambda alarm: alarm.ttc_early_s)
+        open_pair = self._parts.decider.pair
+        for alarm in alarms:
+            if alarm.pair == open_pair and alarm.ttc_early_s - first.ttc_early_s < SWITCH_S:
+                return alarm
+        return first
+
+    def _alarm(self, hazards: HazardScores, edge: int, tracks: Tracks) -> List[OpenHazard]:
+        """Return the alarm of one edge as who threatens which protected object; [] when none does.
+
+        Of two that move the trigger calls the faster one the mover; a protected object that is the
+        faster of the two is threatened all the same.
+        """
+        mover_id, target_id = int(hazards.mover_id[edge]), int(hazards.target_id[edge])
+        rows = {int(track_id): row for row, track_id in enumerate(tracks.track_id)}
+        protected = self._config.protected
+        if tracks.name[rows[target_id]] not in protected:
+            speed = float(np.linalg.norm(tracks.vel_m_s[rows[target_id]]))
+            if tracks.name[rows[mover_id]] not in protected or speed < MOVING_M_S:
+                return []
+            mover_id, target_id = target_id, mover_id
+        ttc_s, early_s = float(hazards.ttc_s[edge]), float(hazards.ttc_early_s[edge])
+        return [OpenHazard(mover_id, target_id, ttc_s, early_s)]
 
     def _rollouts(
         self,
@@ -216,7 +246,7 @@ class Agent:
         late_s = max(self._clock() - frame.t_s, 0.0) + self._config.latency_s
         arrival_s = self._parts.actuator.travel_s(self._parts.candidates, arm) + late_s
         decider = self._parts.decider
-        if decider.index >= 0:
+        if decider.index >= 0 and np.isfinite(arrival_s[decider.index]):
             arrival_s[decider.index] = decider.remaining_s(frame.t_s)
         return arrival_s
 
@@ -262,9 +292,24 @@ class Agent:
         return flat_m - float(tracks.radius_m[row]) - self._parts.tip_radius_m
 
     def _act(self, decision: Decision) -> Tuple[Optional[ArmCommand], Optional[ArmAck]]:
-        if self._parts.actuator is None:
+        """Carry out a decision on a fresh picture, and tell the decider when the arm refuses.
+
+        Raises
+        ------
+        LinkLost : the arm can no longer be commanded.
+        """
+        actuator = self._parts.actuator
+        if actuator is None:
             return None, None
-        return self._parts.actuator.execute(decision, decision.seq, decision.t_s)
+        actuator.check()
+        if decision.action in MOVES and self._clock() - decision.t_s > MAX_AGE_S:
+            log.warning("no move on a picture that is %.2f s old", self._clock() - decision.t_s)
+            self._parts.decider.refuse()
+            return None, None
+        command, ack = actuator.execute(decision, decision.seq, decision.t_s)
+        if ack is not None and not ack.is_accepted:
+            self._parts.decider.refuse()
+        return command, ack
 
     def _ask(
         self,
@@ -311,13 +356,15 @@ def run(
     on_step: Callable[[Step], None],
     is_over: Callable[[], bool],
     stall_s: float = 2.0,
+    stale_s: float = STALE_S,
 ) -> None:
     """Run an agent on an open camera until the source ends or ``is_over`` says so.
 
     Parameters
     ----------
     on_step : gets every Step (recorder, narrator, page); must not block.
-    stall_s : the arm holds when no frame has come for STALE_S; after this long it is a fault.
+    stall_s : a camera that stays away for this long is a fault.
+    stale_s : the arm holds when no frame has come for this long.
 
     Raises
     ------
@@ -325,7 +372,7 @@ def run(
     """
     try:
         while not is_over():
-            frame = _next_frame(agent, camera, stall_s)
+            frame = _next_frame(agent, camera, stall_s, stale_s)
             if frame is None:
                 return
             on_step(agent.step(frame))
@@ -336,12 +383,12 @@ def run(
         agent.close()
 
 
-def _next_frame(agent: Agent, camera: Camera, stall_s: float) -> Optional[Frame]:
+def _next_frame(agent: Agent, camera: Camera, stall_s: float, stale_s: float) -> Optional[Frame]:
     """Read a frame; hold the arm while none comes, and give up after ``stall_s``."""
-    n_tries = max(1, round(stall_s / STALE_S))
+    n_tries = max(1, round(stall_s / stale_s))
     for n_left in reversed(range(n_tries)):
         try:
-            return camera.read(STALE_S)
+            return camera.read(stale_s)
         except CameraError as error:
             if n_left == 0:
                 raise

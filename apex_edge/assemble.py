@@ -6,7 +6,7 @@ from typing import Callable, Optional, Tuple, Union
 
 from apex_edge import config as settings
 from apex_edge import plugins
-from apex_edge.act import Actuator
+from apex_edge.act import ActConfig, Actuator
 from apex_edge.agent import Agent, AgentConfig, Parts
 from apex_edge.cameras.base import Camera, CameraConfig
 from apex_edge.cameras.twin import TwinCamera, TwinConfig
@@ -23,6 +23,7 @@ from apex_edge.twin.scene import Scenario
 from apex_edge.twin.world import TwinWorld
 from apex_edge.types import Candidates
 from firmware_bridge.kinematics import ArmModel
+from firmware_bridge.session import ArmSession
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class ArmConfig:
     """Section ``[arm]``: which arm, on which port."""
 
     type: str = setting("armpi-mini", "arm data file shipped with the bridge, or a path to one")
-    port: str = setting("", 'serial port or URL; "sim" a simulated board; empty: watch only')
+    port: str = setting("", "serial port or URL, empty: watch only; a twin brings its own arm")
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class ApexConfig:
     simulate: SimulateConfig = field(default_factory=SimulateConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     decide: DecideConfig = field(default_factory=DecideConfig)
+    act: ActConfig = field(default_factory=ActConfig)
     arm: ArmConfig = field(default_factory=ArmConfig)
 
 
@@ -117,6 +119,10 @@ class Kit:
         laid = config.simulate
         grid = candidate_grid(arm, laid.n_candidates, config=laid.candidates)
         return cls(config, arm, grid, load_colours(config.colours))
+
+    def actuator(self, session: ArmSession) -> Actuator:
+        """Put the arm's last stage on a session."""
+        return Actuator(session, self.arm, self.candidates, self.config.act)
 
     def agent(
         self,

@@ -43,6 +43,9 @@ def main(argv: Optional[Sequence[str]] = None) -> int:
 
     2 is a typed error or a wrong command line, 130 Ctrl-C, 128 + n a signal.
     """
+    # OpenCV and FFmpeg print their own lines before our one that says what to do
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     arguments = list(sys.argv[1:] if argv is None else argv)
     args, rest = _top_parser().parse_known_args(_before_verb(arguments))
     is_debug = args.debug or "--debug" in arguments

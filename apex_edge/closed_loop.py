@@ -7,7 +7,6 @@ from typing import Callable, Mapping, Optional
 
 import numpy as np
 
-from apex_edge.act import Actuator
 from apex_edge.agent import run
 from apex_edge.assemble import ApexConfig, Kit, with_mode
 from apex_edge.cameras.base import CameraStats
@@ -32,7 +31,10 @@ OnStep = Callable[[Step], None]
 
 @dataclass
 class SceneTimes:
-    """When things first happened, s on the scene's clock (NaN: never)."""
+    """When things first happened, s on the scene's clock (NaN: never).
+
+    ``trigger_s`` is the capture time of the frame that fired; the others are when it was done.
+    """
 
     trigger_s: float = math.nan
     reflex_s: float = math.nan
@@ -90,14 +92,14 @@ class SceneWatch:
         self.frame_to_command_s = math.nan
         self._target_m: Optional[Array] = None
 
-    def see_step(self, step: Step) -> None:
-        """Note what the agent did."""
+    def see_step(self, step: Step, now_s: float) -> None:
+        """Note what the agent did by ``now_s`` on the scene's clock."""
         times = self.times
         if step.hazards is not None and step.hazards.is_fired.any() and math.isnan(times.trigger_s):
             times.trigger_s = step.frame.t_s
         has_reflex = step.rollouts is not None and len(step.rollouts.best) > 0
         if has_reflex and math.isnan(times.reflex_s):
-            times.reflex_s = step.frame.t_s
+            times.reflex_s = now_s if step.ack is None else min(now_s, step.ack.t_sent_s)
         if step.ack is None or not step.ack.is_accepted:
             return
         if step.decision.action in ("intervene", "redirect"):
@@ -246,12 +248,11 @@ class ScenePlayer:
         """Run the agent on a camera until the scene is over."""
 
         def seen(step: Step) -> None:
-            watch.see_step(step)
+            watch.see_step(step, camera.now_s())
             on_step(step)
 
         camera.world.set_arm(rig.points_m())
-        actuator = Actuator(rig.session, kit.arm, kit.candidates)
-        agent = kit.agent(camera.now_s, planner, actuator)
+        agent = kit.agent(camera.now_s, planner, kit.actuator(rig.session))
         with camera:
             run(agent, camera, seen, self._is_over(camera.world))
 

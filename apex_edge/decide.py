@@ -100,6 +100,29 @@ class Decider:
         self.arrives_s = float("inf")
         self._last_alarm_s = float("-inf")
         self._n_faults = 0
+        self._pending: Optional[Proposal] = None
+        self._accepted = Proposal("none", "failure", -1)
+        self._before: Tuple[Phase, int, Optional[Tuple[float, float, float]], float] = (
+            self.phase,
+            self.index,
+            self.target_m,
+            self.arrives_s,
+        )
+
+    def refuse(self) -> None:
+        """Take back the last move: the arm did not accept it, so it is still where it was."""
+        self.phase, self.index, self.target_m, self.arrives_s = self._before
+
+    def blind(self, t_s: float) -> None:
+        """Forget what was foreseen: no picture came, and the arm was stopped on its way.
+
+        An arm away from home goes home once pictures have come for ``hold_s`` without an alarm.
+        """
+        is_out = self.index >= 0 or self.phase is Phase.STANDING
+        self.reset()
+        if is_out:
+            self.phase = Phase.STANDING
+            self._last_alarm_s = t_s
 
     def remaining_s(self, t_s: float) -> float:
         """Return how long the arm still needs to its commanded post (0 when there)."""
@@ -107,11 +130,14 @@ class Decider:
 
     def step(self, now: Situation) -> Decision:
         """Decide about one frame."""
+        if now.proposal is not None:
+            self._pending = now.proposal
         if now.hazard is not None:
             self._last_alarm_s = now.t_s
             if now.hazard.pair != self.pair:
                 self._open(now)
         if self.phase is Phase.IDLE:
+            self._pending = None
             return self._decision(now, "none", verdict="stale" if now.proposal else "")
         if self.phase is Phase.WATCHING:
             return self._watch(now)
@@ -123,17 +149,19 @@ class Decider:
         self.snapshot = now.seq
         self.phase = Phase.WATCHING
         self._n_faults = 0
+        self._pending = None
 
     def _watch(self, now: Situation) -> Decision:
         if now.t_s - self._last_alarm_s > self._config.clear_s:
             return self._close(now)
         if self._does_post_serve(now):
             self.phase = Phase.STANDING
-            return self._decision(now, "hold", reason="the post also stops this one")
+            return self._decision(
+                now, "hold", reason="from where it stands the arm stops this one too"
+            )
         verdict = self._judge(now)
         if verdict == "accepted":
-            assert now.proposal is not None
-            return self._go(now, now.proposal.index, now.proposal.source, verdict)
+            return self._go(now, self._accepted.index, self._accepted.source, verdict)
         if now.rollouts is None or len(now.rollouts.best) == 0:
             return self._decision(now, "watch", verdict=verdict, reason="no safe candidate yet")
         deadline_s = self._deadline_s(now)
@@ -159,12 +187,13 @@ class Decider:
 
     def _stand(self, now: Situation) -> Decision:
         if now.t_s - self._last_alarm_s > self._config.hold_s:
+            before = (self.phase, self.index, self.target_m, self.arrives_s)
             self.reset()
+            self._before = before
             return self._decision(now, "return", reason="no alarm any more")
         verdict = self._judge(now)
         if verdict == "accepted":
-            assert now.proposal is not None
-            return self._go(now, now.proposal.index, now.proposal.source, verdict)
+            return self._go(now, self._accepted.index, self._accepted.source, verdict)
         if self._is_post_useless(now):
             assert now.rollouts is not None
             return self._go(now, int(now.rollouts.best[0]), "reflex", verdict)
@@ -181,22 +210,30 @@ class Decider:
         return self._n_faults >= self._config.n_confirm and has_better
 
     def _judge(self, now: Situation) -> str:
-        """Verify a proposal against the newest roll-outs and name the verdict ("" without one)."""
-        proposal, rollouts = now.proposal, now.rollouts
+        """Verify a proposal against the newest roll-outs and name the verdict.
+
+        It is "" without a proposal, and while one waits out a frame that shows no alarm.
+        """
+        proposal, rollouts = self._pending, now.rollouts
         if proposal is None:
             return ""
+        is_known = proposal.kind == "failure" or proposal.snapshot != self.snapshot
+        is_wish_to_act = proposal.kind == "move"
+        if not is_known and is_wish_to_act and (now.hazard is None or rollouts is None):
+            return ""
+        self._pending = None
         if proposal.kind == "failure":
             return f"failed: {proposal.detail}"
-        if proposal.snapshot != self.snapshot or rollouts is None:
+        if proposal.snapshot != self.snapshot:
             return "stale"
         if proposal.kind == "no_action":
             return "refused: still collides" if now.hazard is not None else "agreed: no action"
+        assert rollouts is not None
+        self._accepted = proposal
         if not 0 <= proposal.index < len(rollouts.is_safe):
             return "refused: not a candidate"
         if proposal.index == self.index and self.phase is Phase.STANDING:
             return "agreed"
-        if now.hazard is None:
-            return "stale"
         if not rollouts.is_safe[proposal.index]:
             return "refused: unsafe"
         return self._judge_score(rollouts, proposal.index)
@@ -210,6 +247,7 @@ class Decider:
     def _go(self, now: Situation, index: int, source: str, verdict: str) -> Decision:
         assert now.rollouts is not None
         action = "redirect" if self.index >= 0 else "intervene"
+        self._before = (Phase.WATCHING, self.index, self.target_m, self.arrives_s)
         self.phase = Phase.STANDING
         self.index = index
         x_m, y_m, z_m = (float(v) for v in now.rollouts.candidates.tip_m[index])

@@ -1,8 +1,10 @@
 """Tell in plain lines what a run does, one line at each change of state."""
 
 import math
-from typing import Callable, List
+from typing import Callable, List, Mapping
 
+from apex_edge.planners.base import PlannerConfig
+from apex_edge.planners.endpoint import with_environment
 from apex_edge.types import Step
 
 SAID_AS = {
@@ -10,6 +12,14 @@ SAID_AS = {
     "llm": "the language model",
     "none": "nobody",
 }
+
+
+def planner_line(config: PlannerConfig, env: Mapping[str, str]) -> str:
+    """Say in one line who is asked besides the reflex; holds no secret."""
+    resolved = with_environment(config, env)
+    if resolved.type == "none" or not resolved.base_url:
+        return "no language model is set (APEX_LLM_BASE_URL): the reflex acts alone"
+    return f"language model: {resolved.model or 'the default of'} at {resolved.base_url}"
 
 
 class Narrator:
@@ -51,7 +61,7 @@ class Narrator:
             return []
         n_all, n_safe = len(step.rollouts.is_safe), int(step.rollouts.is_safe.sum())
         took_ms = 1000.0 * step.timing_s["simulate"]
-        return [f"simulated {n_all} interventions in {took_ms:.1f} ms, {n_safe} are safe"]
+        return [f"simulated {n_all} interventions in {took_ms:.1f} ms, of which safe: {n_safe}"]
 
     def _move(self, step: Step) -> str:
         decision, ack = step.decision, step.ack

@@ -11,8 +11,9 @@ import cv2
 from apex_edge.errors import RecordingError
 from apex_edge.record.decision_log import DecisionLog
 from apex_edge.record.mcap_io import RecordingWriter
+from apex_edge.record.report import write_report
 from apex_edge.record.story import SceneStory
-from apex_edge.record.summary import SceneNotes
+from apex_edge.record.summary import RunSummary, SceneNotes, SceneResult
 from apex_edge.record.tracks_csv import TracksCsv
 from apex_edge.record.video import AnnotatedVideo
 from apex_edge.types import Array, Step
@@ -60,6 +61,7 @@ class RunOutputs:
         self._recording: Optional[RecordingWriter] = None
         self._draws_later = draws_later
         self._undrawn: List[Step] = []
+        self._is_new = not self.folder.exists()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -86,6 +88,8 @@ class RunOutputs:
             for step in self._undrawn:
                 self._draw(step)
         self._stack.__exit__(kind, error, trace)
+        if kind is not None and self._is_new and not any(self.folder.iterdir()):
+            self.folder.rmdir()
         if kind is None:
             self.notes = self._story.notes()
             self._save("montage.png", self.notes.montage)
@@ -111,6 +115,18 @@ class RunOutputs:
             self._draw(step)
         elif len(self._undrawn) < MAX_UNDRAWN:
             self._undrawn.append(replace(step, frame=replace(step.frame, depth_mm=None)))
+
+    def report(self, title: str) -> None:
+        """Write report.html about a run that was not judged; after the context was left.
+
+        Raises
+        ------
+        RecordingError : the file cannot be written.
+        """
+        assert self.notes is not None
+        is_video = self.video.path.suffix == ".webm"
+        scene = SceneResult("run", self.notes, video=self.video.path if is_video else None)
+        write_report(self.folder / "report.html", RunSummary(title, (scene,), is_judged=False))
 
     def _draw(self, step: Step) -> None:
         self._story.write(step)

@@ -6,7 +6,6 @@ the same decisions byte for byte.
 
 from typing import Callable, Optional
 
-from apex_edge.act import Actuator
 from apex_edge.agent import run
 from apex_edge.assemble import Kit
 from apex_edge.cameras.base import Camera
@@ -119,5 +118,5 @@ def replay(kit: Kit, camera: Camera, on_step: Callable[[Step], None]) -> None:
     planner = RecordedPlanner(camera if isinstance(camera, McapCamera) else None)
     with clock, SimulatedArm(kit.arm, clock.now_s) as rig:
         clock.drive = rig.drive
-        actuator = Actuator(rig.session, kit.arm, kit.candidates)
-        run(kit.agent(clock.now_s, planner, actuator), clock, on_step, lambda: False)
+        agent = kit.agent(clock.now_s, planner, kit.actuator(rig.session))
+        run(agent, clock, on_step, lambda: False)

@@ -75,11 +75,15 @@ class SimulatedArm:
             self._next_tick_s = self._clock() + TICK_S
             self.session.tick()
         give_up_s = time.monotonic() + PATIENCE_S
-        while self._board.n_bytes_in < self._link.n_bytes_out:
+        while self._board.is_open and self._board.n_bytes_in < self._link.n_bytes_out:
             self._board.pump()
             if time.monotonic() > give_up_s:
                 raise LinkLost(f"{self._link.port}: bytes are stuck in the pseudo-terminal")
         return self.advance(dt_s)
+
+    def unplug(self) -> None:
+        """Pull the plug: the host's port hangs up."""
+        self._board.close()
 
     def points_m(self) -> Array:
         """Return shoulder, elbow, wrist and tip (4, 3) as the servos really stand."""

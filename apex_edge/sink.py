@@ -4,6 +4,7 @@ Steps wait in memory and one thread writes them. When writing falls behind, pict
 and counted; the steps themselves, and so the decisions, never are.
 """
 
+import logging
 import queue
 import threading
 from dataclasses import replace
@@ -11,8 +12,9 @@ from typing import Callable, Optional
 
 import numpy as np
 
-from apex_edge.errors import ApexError
 from apex_edge.types import Step
+
+log = logging.getLogger(__name__)
 
 MAX_WAITING = 60
 NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
@@ -42,10 +44,13 @@ class Sink:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        """Write all that waits; raise what the writer raised, unless something is under way."""
+        """Write all that waits; raise what the writer raised, unless an error is under way."""
         self._steps.put(None)
         self._thread.join()
-        if self._error is not None and kind is None:
+        if self.n_pictures_left_out:
+            log.warning("pictures left out as writing was too slow: %d", self.n_pictures_left_out)
+        is_asked_to_end = kind in (None, KeyboardInterrupt, SystemExit)
+        if self._error is not None and is_asked_to_end:
             raise self._error
 
     def put(self, step: Step) -> None:
@@ -64,5 +69,6 @@ class Sink:
                 continue
             try:
                 self._write(step)
-            except (ApexError, OSError, ValueError) as error:
+            except Exception as error:  # thread boundary: raised again by whoever leaves
+                log.error("writing stopped: %s", error)
                 self._error = error

@@ -38,6 +38,7 @@ class TwinConfig:
     focal_px: float = setting(560.0, "focal length (px)", 10.0, 10000.0)
     fps: float = setting(30.0, "frame rate (Hz)", 1.0, 240.0)
     jitter_s: float = setting(0.002, "spread of the capture instants (s, sd)", 0.0, 0.1)
+    delay_s: float = setting(0.025, "capture to delivery in simulated time (s)", 0.0, 0.5)
     drop_rate: float = setting(0.01, "share of frames that never arrive", 0.0, 0.9)
     repeat_rate: float = setting(0.005, "share of frames that show the one before", 0.0, 0.9)
     seed: int = setting(0, "seed of the sensor's random numbers", 0, 2**31 - 1)
@@ -159,6 +160,8 @@ class TwinCamera(Camera):
             frame = self._develop(self._shoot())
             if frame is not None:
                 self._stats.delivered += 1
+                # drawing takes no simulated time; a real picture is old when it is handed out
+                self._step_to(min(self.world.t_s + self.config.delay_s, self._next_s))
                 return frame
         return None
 

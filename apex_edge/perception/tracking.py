@@ -21,7 +21,9 @@ from apex_edge.perception.settings import PerceptionConfig
 from apex_edge.types import Array, CameraModel, Detections, Tracks, TrackStatus
 
 _SIZE_MEMORY = 15
-_FRAGMENT_RADII = 1.5  # two whole objects of one size are at least two radii apart
+# Two whole objects of one size are at least two radii apart, and the middle of a piece is less
+# well known than that of a whole object.
+_FRAGMENT_RADII = 2.5
 _GATE_RADII = 1.0  # two sightings within one object radius may always be the same object
 
 

@@ -13,8 +13,8 @@ Self = TypeVar("Self", bound="WholeFile")
 class WholeFile(ABC):
     """An output written beside its final name and renamed when closed; ours.
 
-    Leaving a ``with`` block normally, or by Ctrl-C, completes the file; any other exception
-    abandons it, so that nobody mistakes half a result for a whole one.
+    Leaving a ``with`` block normally, or by Ctrl-C or a signal, completes the file; any other
+    exception abandons it, so that nobody mistakes half a result for a whole one.
     """
 
     def __init__(self, path: Union[str, Path], part: Optional[Path] = None) -> None:
@@ -46,7 +46,7 @@ class WholeFile(ABC):
         trace: Optional[TracebackType],
     ) -> None:
         """Complete the file, or abandon it after an exception."""
-        if kind is None or issubclass(kind, KeyboardInterrupt):
+        if kind is None or issubclass(kind, (KeyboardInterrupt, SystemExit)):
             self.close()
         else:
             self.abandon()

@@ -16,7 +16,7 @@ from apex_edge.assemble import Kit, load_config
 from apex_edge.closed_loop import SceneOutcome, ScenePlayer
 from apex_edge.errors import ConfigError
 from apex_edge.fast_demo import as_json, count, play_all, tasks
-from apex_edge.narrate import Narrator
+from apex_edge.narrate import Narrator, planner_line
 from apex_edge.outputs import RunOutputs
 from apex_edge.record.report import write_report
 from apex_edge.record.summary import RunSummary, SceneNotes, SceneResult
@@ -45,12 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, help="seed of the scenes (1)")
     parser.add_argument("--config", type=Path, help="settings file (TOML)")
     parser.add_argument("--fast", action="store_true", help="simulated time, no pictures, counts")
-    parser.add_argument(
-        "--scenarios", type=int, default=10, help="--fast: scenes of each kind (10)"
-    )
-    parser.add_argument(
-        "--kinds", default=",".join(KINDS), help=f"--fast: kinds of scenes ({','.join(KINDS)})"
-    )
+    parser.add_argument("--scenarios", type=int, help="--fast: scenes of each kind (10)")
+    parser.add_argument("--kinds", help=f"--fast: kinds of scenes ({','.join(KINDS)})")
     parser.add_argument("--jobs", type=int, help="--fast: processes (one per core)")
     parser.add_argument("--json", type=Path, help="--fast: file for counts and scenes")
 
@@ -62,20 +58,30 @@ def run(args: argparse.Namespace) -> int:
     ------
     ApexError : whatever stopped a scene; the arm was stopped first.
     """
-    return _run_fast(args) if args.fast else _run_shown(args)
+    if args.fast:
+        return _run_fast(args)
+    given = [
+        name for name in ("scenarios", "kinds", "jobs", "json") if getattr(args, name) is not None
+    ]
+    if given:
+        raise ConfigError(f"--{given[0]} goes with --fast")
+    return _run_shown(args)
 
 
 def _run_fast(args: argparse.Namespace) -> int:
-    kinds = [kind.strip() for kind in args.kinds.split(",")]
+    kinds = [kind.strip() for kind in (args.kinds or ",".join(KINDS)).split(",")]
+    n_scenes = 10 if args.scenarios is None else args.scenarios
     unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown:
         raise ConfigError(f"--kinds: {unknown[0]!r} is not one of {', '.join(KINDS)}")
-    if args.scenarios < 1 or args.seed < 0:
-        raise ConfigError("--scenarios must be 1 or more and --seed 0 or more")
-    todo = tasks(kinds, args.scenarios, args.seed)
-    n_jobs = max(1, args.jobs or os.cpu_count() or 1)
+    n_jobs = (os.cpu_count() or 1) if args.jobs is None else args.jobs
+    if n_scenes < 1 or args.seed < 0 or n_jobs < 1:
+        raise ConfigError("--scenarios and --jobs must be 1 or more and --seed 0 or more")
+    config = load_config(args.config)
+    print(planner_line(config.planner, os.environ))
+    todo = tasks(kinds, n_scenes, args.seed)
     with Progress("scenes", len(todo)) as progress:
-        outcomes = play_all(load_config(args.config), todo, n_jobs, lambda _: progress.advance())
+        outcomes = play_all(config, todo, n_jobs, lambda _: progress.advance())
     if args.json is not None:
         text = json.dumps(as_json(outcomes, args.seed), indent=1, sort_keys=True)
         write_whole_text(args.json, text + "\n")
@@ -103,6 +109,7 @@ def _print_counts(kind: str, outcomes: Sequence[SceneOutcome]) -> None:
 
 def _run_shown(args: argparse.Namespace) -> int:
     kit = Kit.from_config(load_config(args.config))
+    print(planner_line(kit.config.planner, os.environ))
     results = []
     for number, kind in enumerate(SHOWN_KINDS, 1):
         print(f"\nscene {number} of {len(SHOWN_KINDS)}, {kind}: {WHAT_COMES[kind]}", flush=True)
@@ -133,8 +140,8 @@ def _show_scene(kit: Kit, kind: str, seed: int, out: Path) -> SceneResult:
     metadata = {"apex_edge": __version__, "scene": f"{kind}:{seed}"}
     outputs = RunOutputs(out / kind, kit.config.twin.fps, metadata, ".webm", draws_later=True)
     with outputs:
-        with Sink(outputs.write) as sink:
-            outcome = ScenePlayer(kit, os.environ).play(scene, _both(narrator.see, sink.put), True)
+        with Sink(_both(narrator.see, outputs.write)) as sink:
+            outcome = ScenePlayer(kit, os.environ).play(scene, sink.put, True)
         _say(_ending(outcome))
     assert outputs.notes is not None
     return _result(outcome, outputs.notes, outputs.video.path)

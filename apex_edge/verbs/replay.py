@@ -4,11 +4,12 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Set
+from statistics import median
+from typing import Dict, Set
 
 from apex_edge import plugins
 from apex_edge.assemble import ApexConfig, ColoursConfig, Kit, load_config
-from apex_edge.cameras.base import Camera
+from apex_edge.cameras.base import Camera, CameraConfig
 from apex_edge.cameras.playback import config_for
 from apex_edge.errors import ColourError, RecordingError
 from apex_edge.outputs import RunOutputs
@@ -17,6 +18,9 @@ from apex_edge.types import Step, TrackStatus
 from apex_edge.verbs.progress import Progress
 
 HELP = "run the agent over a recording, a video or a folder of pictures"
+N_TIMED = 9
+N_CERTAIN = 3
+"""A colour seen by one track for fewer frames may be grain."""
 EXAMPLE = "apex replay clip.mp4 --colours colours.json --out out/clip"
 
 
@@ -47,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     source = config_for(args.source, str(args.calibration or ""))
     if not args.source.exists():
         raise RecordingError(f"{args.source}: no such file or folder")
+    fps = _frame_rate(source)
     if source.type != "mcap" and not config.colours.files:
         raise ColourError(
             f"{args.source}: which colours are to be followed? Teach one with "
@@ -55,9 +60,8 @@ def run(args: argparse.Namespace) -> int:
     camera: Camera = plugins.load("cameras", source.type)(source)
     kit = Kit.from_config(config)
     seen = Seen()
-    with Progress("frames", is_quiet=args.json) as progress, RunOutputs(
-        args.out, source.fps
-    ) as outputs:
+    outputs = RunOutputs(args.out, fps, video_suffix=".webm" if source.type == "mcap" else ".mp4")
+    with Progress("frames", is_quiet=args.json) as progress, outputs:
 
         def on_step(step: Step) -> None:
             outputs.write(step)
@@ -66,8 +70,19 @@ def run(args: argparse.Namespace) -> int:
 
         replay(kit, camera, on_step)
         seen.check(kit, args.source)
+    outputs.report(f"Replay of {args.source.name}")
     _print_counts(args, seen, camera, outputs)
     return 0
+
+
+def _frame_rate(source: CameraConfig) -> float:
+    """Return the rate (Hz) of a source by its first capture times; also checks that it plays."""
+    camera: Camera = plugins.load("cameras", source.type)(source)
+    with camera:
+        frames = [camera.read(0.0) for _ in range(N_TIMED)]
+    times_s = [frame.t_s for frame in frames if frame is not None]
+    steps_s = [b - a for a, b in zip(times_s, times_s[1:]) if b > a]
+    return 1.0 / median(steps_s) if steps_s else source.fps
 
 
 class Seen:
@@ -76,7 +91,7 @@ class Seen:
     def __init__(self) -> None:
         self.n_frames = 0
         self.n_interventions = 0
-        self.track_ids: Set[int] = set()
+        self.n_seen: Dict[int, int] = {}
         self.names: Set[str] = set()
 
     def see(self, step: Step) -> None:
@@ -86,15 +101,16 @@ class Seen:
         tracks = step.tracks
         for name, track_id, status in zip(tracks.name, tracks.track_id, tracks.status):
             if status == TrackStatus.SEEN:
-                self.names.add(name)
-                self.track_ids.add(int(track_id))
+                n_seen = self.n_seen[int(track_id)] = self.n_seen.get(int(track_id), 0) + 1
+                if n_seen >= N_CERTAIN:
+                    self.names.add(name)
 
     def check(self, kit: Kit, source: Path) -> None:
         """Refuse a source in which none of the colours ever showed.
 
         Raises
         ------
-        ColourError : no object of any configured colour was seen.
+        ColourError : no object of any configured colour was seen for a few frames.
         RecordingError : there was no frame at all.
         """
         if not self.n_frames:
@@ -122,7 +138,7 @@ def _print_counts(
         "frames": seen.n_frames,
         "repeated_frames": camera.stats.repeated,
         "objects": sorted(seen.names),
-        "tracks": len(seen.track_ids),
+        "tracks": len(seen.n_seen),
         "interventions": seen.n_interventions,
         "out": str(args.out),
         "video": outputs.video.path.name,
@@ -131,7 +147,8 @@ def _print_counts(
         print(json.dumps(counts, sort_keys=True))
         return
     print(
-        f"{seen.n_frames} frames, {len(seen.track_ids)} tracks of {', '.join(sorted(seen.names))}, "
+        f"{seen.n_frames} frames, {len(seen.n_seen)} tracks of {', '.join(sorted(seen.names))}, "
         f"{seen.n_interventions} interventions"
     )
-    print(f"results in {args.out}: decisions.jsonl, tracks.csv, {outputs.video.path.name}")
+    names = sorted(path.name for path in args.out.iterdir())
+    print(f"results in {args.out}: {', '.join(names)}")

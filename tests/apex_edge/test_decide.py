@@ -223,3 +223,38 @@ def test_no_answer_ever_moves_the_arm_to_an_unsafe_point(
     for decision in decisions:
         if decision.action in ("intervene", "redirect"):
             assert is_safe[decision.index]
+
+
+def test_a_refused_move_is_taken_back_and_tried_again() -> None:
+    decider = Decider(DecideConfig())
+    first = decider.step(situation(0, rollouts=make_rollouts([1, 1], [1.0, 0.5])))
+    decider.refuse()
+    second = decider.step(situation(1, rollouts=make_rollouts([1, 1], [0.5, 1.0], 1)))
+    assert (first.action, first.index) == ("intervene", 0)
+    assert (second.action, second.index) == ("intervene", 1)
+
+
+def test_an_answer_waits_out_a_frame_without_an_alarm() -> None:
+    decider = waiting()
+    rollouts = make_rollouts([1, 1], [1.0, 0.95])
+    decider.step(situation(0, rollouts=rollouts))
+    flicker = decider.step(situation(1, hazard=None, rollouts=rollouts, proposal=llm(1)))
+    assert (flicker.action, flicker.verdict) == ("watch", "")
+    decision = decider.step(situation(2, rollouts=rollouts))
+    assert (decision.action, decision.source, decision.index) == ("intervene", "llm", 1)
+
+
+def test_a_blind_arm_away_from_home_goes_home_when_all_stays_quiet() -> None:
+    decider = Decider(DecideConfig(hold_s=1.0))
+    decider.step(situation(0, rollouts=make_rollouts([1], [1])))
+    decider.blind(0.1)
+    actions = [decider.step(situation(seq, hazard=None)).action for seq in range(4, 45)]
+    assert actions.count("return") == 1
+    assert "intervene" not in actions
+
+
+def test_a_blind_arm_at_home_stays_there() -> None:
+    decider = Decider(DecideConfig(hold_s=1.0))
+    decider.blind(0.1)
+    actions = {decider.step(situation(seq, hazard=None)).action for seq in range(4, 45)}
+    assert actions == {"none"}
