@@ -182,6 +182,11 @@ class ScenePlayer:
         self._kit = kit
         self._env = env
 
+    @property
+    def fps(self) -> float:
+        """Return the frame rate of the twin's camera, Hz."""
+        return self._kit.config.twin.fps
+
     def play(self, scenario: Scenario, on_step: OnStep, is_real_time: bool) -> SceneOutcome:
         """Play one scene and judge it against what would have happened with no arm.
 

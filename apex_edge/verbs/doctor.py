@@ -294,11 +294,11 @@ def read_settings(path: Optional[str]) -> Tuple[Any, List[Check]]:
 
 
 def check_files(config: Any) -> List[Check]:
-    """Check the files that the settings (an ApexConfig) name: colours and camera calibration."""
+    """Check what the settings (an ApexConfig) name: colours, calibration, weights, arm, port."""
     from apex_edge.assemble import load_colours
     from apex_edge.cameras.calibration import load_camera
 
-    checks = []
+    checks = check_arm(config.arm) + [check_trigger(config.trigger)]
     try:
         checks.append(Check("colours", OK, ", ".join(load_colours(config.colours).names)))
     except ApexError as error:
@@ -313,6 +313,33 @@ def check_files(config: Any) -> List[Check]:
         checks.append(Check("calibration", OK, f"{path}, pictures of {size}"))
     except ApexError as error:
         checks.append(Check("calibration", FAIL, str(error)))
+    return checks
+
+
+def check_trigger(config: Any) -> Check:
+    """Check that the trigger of the settings can be made, weights and all."""
+    from apex_edge import plugins
+
+    try:
+        plugins.load("triggers", config.type)(config)
+    except ApexError as error:
+        return Check("trigger", FAIL, str(error), "apex train trigger makes the file")
+    return Check("trigger", OK, f"{config.type}, {config.weights or 'shipped weights'}")
+
+
+def check_arm(config: Any) -> List[Check]:
+    """Check that the arm's data can be read and that its port is there."""
+    from firmware_bridge.kinematics import ArmModel
+    from firmware_bridge.link import ports
+
+    try:
+        checks = [Check("arm", OK, ArmModel.load(config.type).name)]
+    except ApexError as error:
+        return [Check("arm", FAIL, str(error))]
+    is_path = config.port not in ("", "sim") and "://" not in config.port
+    if is_path and not Path(config.port).exists():
+        found = ", ".join(ports()) or "none"
+        checks.append(Check("arm port", FAIL, f"{config.port}: not there; ports found: {found}"))
     return checks
 
 

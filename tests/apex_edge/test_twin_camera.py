@@ -49,10 +49,18 @@ def test_capture_instants_jitter_but_never_run_backwards():
 
 def test_stamp_is_the_worlds_time_at_capture():
     world = rolling_world()
-    camera = TwinCamera(TwinConfig(**SMALL), world)
+    camera = TwinCamera(TwinConfig(delay_s=0.0, **SMALL), world)
     for _ in range(20):
         frame = camera.advance()
         assert frame.t_s == world.t_s
+
+
+def test_a_frame_is_handed_out_when_its_delay_has_passed():
+    world = rolling_world()
+    camera = TwinCamera(TwinConfig(delay_s=0.02, jitter_s=0.0, **SMALL), world)
+    for _ in range(20):
+        frame = camera.advance()
+        assert world.t_s - frame.t_s == pytest.approx(0.02, abs=1e-9)
 
 
 def test_drops_leave_gaps_and_repeats_show_the_frame_before():
@@ -88,7 +96,7 @@ def test_same_seeds_give_the_same_frames_byte_for_byte():
 def test_hook_is_called_in_small_steps_up_to_each_capture():
     calls = []
     camera = TwinCamera(
-        TwinConfig(**SMALL),
+        TwinConfig(delay_s=0.0, **SMALL),
         rolling_world(),
         on_step=lambda world, dt: calls.append((world.t_s, dt)),
     )

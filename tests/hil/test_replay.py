@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any, List
 
@@ -11,7 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
+import apex_edge
 from apex_edge.cli import main
+from apex_edge.verbs.run import ReadyArm
+from firmware_bridge.errors import NoSuchPort, PortBusy
+from firmware_bridge.kinematics import ArmModel
+from firmware_bridge.link import SerialLink
+from firmware_bridge.simulator import PtyBoard, RrcFirmware
 
 RECORDING = Path(__file__).parents[2] / "examples" / "small-collision.mcap"
 GOLDEN = Path(__file__).parents[2] / "examples" / "small-collision.decisions.jsonl"
@@ -73,7 +80,7 @@ def test_a_video_without_the_configured_colours_leaves_nothing(
     colours = taught(tmp_path, "green", (40, 180, 60))
     assert replay(video, tmp_path / "out", "--colours", str(colours)) == 2
     assert "none of the configured colours (green)" in capsys.readouterr().err
-    assert list((tmp_path / "out").iterdir()) == []
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_truncated_recording_is_refused_with_what_could_be_read(
@@ -108,15 +115,57 @@ def test_an_unknown_setting_names_the_nearest(
     assert "margin_s" in capsys.readouterr().err
 
 
-def test_run_refuses_a_port_that_is_not_there(
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ('[camera]\ntype = "video"\npath = "x.mp4"\n[arm]\nport = "/dev/ttyS0"\n', "live camera"),
+        ('[camera]\ntype = "live"\n[arm]\nport = "/dev/ttyS0"\n', "your own colours"),
+        ('[camera]\ntype = "live"\n[arm]\nport = "sim"\n', "twin"),
+        ('[camera]\ntype = "twin"\n[arm]\nport = "/dev/ttyS0"\n', "cannot see the arm"),
+        ('[agent]\nprotected = ["crimson"]\n', "crimson"),
+    ],
+)
+def test_run_refuses_settings_with_which_an_arm_would_move_wrongly_or_never(
+    tmp_path: Path, capsys: pytest.CaptureFixture, settings: str, reason: str
+) -> None:
+    path = tmp_path / "apex.toml"
+    path.write_text(settings)
+    assert main(["run", "--config", str(path)]) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_a_port_that_is_not_there_is_refused_with_what_there_is() -> None:
+    with pytest.raises(NoSuchPort, match="ports found"), ReadyArm(
+        ArmModel.load(), "/dev/ttyNOPE9", time.monotonic
+    ):
+        pass
+
+
+def test_a_port_in_use_is_refused() -> None:
+    arm = ArmModel.load()
+    board = PtyBoard(RrcFirmware(arm))
+    first = SerialLink(board.port)
+    first.open()
+    try:
+        with pytest.raises(PortBusy), ReadyArm(arm, board.port, time.monotonic):
+            pass
+    finally:
+        first.close()
+        board.close()
+
+
+def test_weights_with_a_wrong_hash_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    settings = tmp_path / "apex.toml"
-    settings.write_text('[camera]\ntype = "live"\npath = "0"\n[arm]\nport = "/dev/ttyNOPE9"\n')
-    assert main(["run", "--config", str(settings), "--seconds", "1"]) == 2
-    error = capsys.readouterr().err
-    assert "/dev/ttyNOPE9" in error
-    assert "ports found" in error
+    shipped = Path(apex_edge.__file__).parent / "data" / "trigger-linear.json"
+    fields = json.loads(shipped.read_text())
+    fields["bias"] = fields["bias"] + 0.1
+    weights, settings = tmp_path / "weights.json", tmp_path / "apex.toml"
+    weights.write_text(json.dumps(fields))
+    settings.write_text(f'[trigger]\nweights = "{weights}"\n')
+    assert replay(RECORDING, tmp_path / "out", "--config", str(settings)) == 2
+    assert "weights.json" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_record_and_replay_a_scene_of_the_twin(tmp_path: Path) -> None:
