@@ -119,7 +119,8 @@ def examine(env: Mapping[str, str], config_path: Optional[str] = None) -> List[C
     checks += check_serial_ports()
     config, found = read_settings(config_path)
     checks += found
-    checks += check_files(config) if config is not None else []
+    if config is not None:
+        checks += check_files(config) + [check_trigger(config.trigger)] + check_arm(config.arm)
     checks += check_llm(env, answers, config.planner if config is not None else None)
     checks += check_throttling(read_throttled())
     return checks
@@ -294,11 +295,11 @@ def read_settings(path: Optional[str]) -> Tuple[Any, List[Check]]:
 
 
 def check_files(config: Any) -> List[Check]:
-    """Check what the settings (an ApexConfig) name: colours, calibration, weights, arm, port."""
+    """Check the files that the settings (an ApexConfig) name: colours and camera calibration."""
     from apex_edge.assemble import load_colours
     from apex_edge.cameras.calibration import load_camera
 
-    checks = check_arm(config.arm) + [check_trigger(config.trigger)]
+    checks = []
     try:
         checks.append(Check("colours", OK, ", ".join(load_colours(config.colours).names)))
     except ApexError as error:

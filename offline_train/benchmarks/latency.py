@@ -1,8 +1,8 @@
 """``apex bench latency``: from capture to the last servo byte, in real time on this machine.
 
 Plays collision scenes of the twin by the wall clock, the arm driven by real bytes through a pty. A
-frame is stamped before it is drawn, so drawing the twin's picture is part of the figure, as exposure
-and transfer are of a real camera's; the stages of the agent are listed apart.
+frame is stamped before it is drawn, so drawing the twin's picture is part of the figure, as
+exposure and transfer are of a real camera's; the stages of the agent are listed apart.
 Source: ours; the paper gives 1.66 s from hazard to response with its language model.
 """
 

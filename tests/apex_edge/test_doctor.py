@@ -209,3 +209,18 @@ def test_throttling_bits_are_put_into_words(bits, status, word):
     checks = doctor.check_throttling(bits)
     assert statuses(checks) == [status]
     assert word in checks[0].found
+
+
+def test_weights_and_a_port_that_cannot_be_used_are_named(tmp_path):
+    path = tmp_path / "apex.toml"
+    (tmp_path / "weights.json").write_text("{}")
+    path.write_text(
+        f"[trigger]\nweights = '{tmp_path / 'weights.json'}'\n[arm]\nport = '/dev/ttyNOPE9'\n"
+    )
+    config, _ = doctor.read_settings(str(path))
+    trigger = doctor.check_trigger(config.trigger)
+    assert trigger.status == FAIL
+    assert "weights.json" in trigger.found
+    arm = doctor.check_arm(config.arm)
+    assert [(check.name, check.status) for check in arm] == [("arm", OK), ("arm port", FAIL)]
+    assert "/dev/ttyNOPE9" in arm[1].found
