@@ -18,6 +18,8 @@ from apex_edge.types import Decision, Proposal, Rollouts
 
 REFLEX_FIRST = "reflex_first"
 WAIT_UNTIL_DEADLINE = "wait_until_deadline"
+WAY_HOME_S = 3.0
+"""Longer than any way home takes."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,7 @@ class Decider:
         self.target_m: Optional[Tuple[float, float, float]] = None
         self.arrives_s = float("inf")
         self._last_alarm_s = float("-inf")
+        self._returned_s = float("-inf")
         self._n_faults = 0
         self._pending: Optional[Proposal] = None
         self._accepted = Proposal("none", "failure", -1)
@@ -119,6 +122,7 @@ class Decider:
         An arm away from home goes home once pictures have come for ``hold_s`` without an alarm.
         """
         is_out = self.index >= 0 or self.phase is Phase.STANDING
+        is_out = is_out or t_s - self._returned_s < WAY_HOME_S
         self.reset()
         if is_out:
             self.phase = Phase.STANDING
@@ -189,7 +193,7 @@ class Decider:
         if now.t_s - self._last_alarm_s > self._config.hold_s:
             before = (self.phase, self.index, self.target_m, self.arrives_s)
             self.reset()
-            self._before = before
+            self._before, self._returned_s = before, now.t_s
             return self._decision(now, "return", reason="no alarm any more")
         verdict = self._judge(now)
         if verdict == "accepted":

@@ -20,7 +20,9 @@ except ImportError:  # not a POSIX system
 
 # SerialException derives from OSError; both are named since pyserial says either.
 _LOST = (serial.SerialException, OSError, _TermiosError)
-_WRITE_TIMEOUT_S = 0.1  # 17 bytes take 0.2 ms at 1 Mbaud; a blocked line is as good as lost
+# 17 bytes take 0.2 ms at 1 Mbaud, and a blocked line is as good as lost. But pyserial also raises
+# when the bytes are out and this process was kept from the CPU meanwhile: 0.1 s of that was seen.
+_WRITE_TIMEOUT_S = 1.0
 
 
 class SerialLink:

@@ -34,7 +34,6 @@ class TriggerConfig:
     """Settings of the trigger stage, ``[trigger]``."""
 
     type: str = setting("linear", "name of the trigger plug-in")
-    horizon_s: float = setting(5.0, "s looked ahead", 0.5, 30.0)
     weights: str = setting("", "weights file of the linear trigger; empty = the shipped one")
     k_sigma: float = setting(1.0, "sd of miss distance the analytic rule adds to the radius", 0, 6)
     min_speed_m_s: float = setting(0.02, "m/s below which an object counts as at rest", 0.0, 1.0)

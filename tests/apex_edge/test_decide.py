@@ -258,3 +258,12 @@ def test_a_blind_arm_at_home_stays_there() -> None:
     decider.blind(0.1)
     actions = {decider.step(situation(seq, hazard=None)).action for seq in range(4, 45)}
     assert actions == {"none"}
+
+
+def test_an_arm_stopped_on_its_way_home_sets_out_again() -> None:
+    decider = Decider(DecideConfig(hold_s=0.5))
+    decider.step(situation(0, rollouts=make_rollouts([1], [1])))
+    first = [decider.step(situation(seq, hazard=None)).action for seq in range(1, 20)]
+    decider.blind(20 * PERIOD_S)
+    second = [decider.step(situation(seq, hazard=None)).action for seq in range(21, 60)]
+    assert (first.count("return"), second.count("return")) == (1, 1)
