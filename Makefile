@@ -54,7 +54,7 @@ style:
 	$(RUN) -m ruff check .
 	$(RUN) -m ruff format --check .
 	$(VENV)/bin/lint-imports
-	$(RUN) -m vermin --quiet --violations --no-tips --target=3.7- $(DEVICE_PACKAGES) scripts
+	$(VENV)/bin/vermin --quiet --violations --no-tips --target=3.7- $(DEVICE_PACKAGES) scripts
 
 # mypy 1.4.1 is the last that checks for 3.7, and runs there.
 types:
