@@ -221,9 +221,8 @@ class Decider:
         proposal, rollouts = self._pending, now.rollouts
         if proposal is None:
             return ""
-        is_known = proposal.kind == "failure" or proposal.snapshot != self.snapshot
-        is_wish_to_act = proposal.kind == "move"
-        if not is_known and is_wish_to_act and (now.hazard is None or rollouts is None):
+        is_about_now = proposal.kind == "move" and proposal.snapshot == self.snapshot
+        if is_about_now and (now.hazard is None or rollouts is None):
             return ""
         self._pending = None
         if proposal.kind == "failure":
