@@ -87,6 +87,9 @@ setup(
             "none = apex_edge.planners.none:NoPlanner",
             "llm = apex_edge.planners.llm:LlmPlanner",
         ],
+        "apex_edge.calibrations": [
+            "colour = calib.verbs.colour",
+        ],
         "apex_edge.benches": [
             "latency = offline_train.benchmarks.latency",
             "rollout = offline_train.benchmarks.rollout",

@@ -5,10 +5,10 @@ from typing import Tuple
 import cv2
 import numpy as np
 
-from apex_edge.types import Array, CameraModel
+from apex_edge.types import Array, CameraModel, Intrinsics
 
 
-def camera_matrix(camera: CameraModel) -> Array:
+def camera_matrix(camera: Intrinsics) -> Array:
     """Return the (3, 3) intrinsic matrix."""
     return np.array(
         [[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]]

@@ -27,12 +27,8 @@ class TrackStatus(IntEnum):
 
 
 @dataclass(frozen=True)
-class CameraModel:
-    """Pinhole camera and its pose over the table.
-
-    ``table_from_cam`` is a (4, 4) rigid transform; the camera looks along its own +z,
-    x right, y down (OpenCV). ``dist`` is OpenCV's (k1, k2, p1, p2, k3).
-    """
+class Intrinsics:
+    """Pinhole lens: picture size, focal lengths, principal point; ``dist`` (k1, k2, p1, p2, k3)."""
 
     width_px: int
     height_px: int
@@ -41,6 +37,16 @@ class CameraModel:
     cx_px: float
     cy_px: float
     dist: Array
+
+
+@dataclass(frozen=True)
+class CameraModel(Intrinsics):
+    """Pinhole camera and its pose over the table.
+
+    ``table_from_cam`` is a (4, 4) rigid transform; the camera looks along its own +z,
+    x right, y down (OpenCV).
+    """
+
     table_from_cam: Array
 
 

@@ -26,8 +26,8 @@ from apex_edge.perception.colour_model import (
     words,
 )
 from apex_edge.types import Array
+from calib.verdict import Limit, Verdict, judge, worst
 
-PASS, WARN, REFUSE = "pass", "warn", "refuse"
 MIN_RECALL, REFUSED_RECALL = 0.98, 0.90
 MAX_FALSE, REFUSED_FALSE = 0.001, 0.01
 MAX_FOREIGN, REFUSED_FOREIGN = 0.15, 0.45
@@ -88,10 +88,10 @@ class ColourResult:
     labels: Array
 
     @property
-    def verdict(self) -> str:
-        """Return the worst verdict of all colours."""
-        verdicts = [quality.verdict for quality in self.quality]
-        return max(verdicts, key=(PASS, WARN, REFUSE).index)
+    def verdict(self) -> Verdict:
+        """Return the worst verdict of all colours, with every reason and whose it is."""
+        reasons = [f"{q.name}: {reason}" for q in self.quality for reason in q.reasons]
+        return Verdict(worst([quality.verdict for quality in self.quality]), tuple(reasons))
 
     def colours(self) -> List[Dict[str, Any]]:
         """Return the models as plain mappings for the colour file."""
@@ -246,25 +246,22 @@ def _judge(
     foreign = 1.0 - float(np.mean(own))
     false = float(np.mean(ground_labels == label)) if len(ground_labels) else 0.0
     leak = _leak(labels == label, disc, zone)
-    rules = (
-        (recall, -1, MIN_RECALL, REFUSED_RECALL, "finds only {:.1%} of its own pixels"),
-        (false, 1, MAX_FALSE, REFUSED_FALSE, "takes {:.2%} of the background for the object"),
-        (foreign, 1, MAX_FOREIGN, REFUSED_FOREIGN, "{:.0%} of the disc is not of one colour"),
-        (leak, 1, 0.3, 0.6, "runs out into {:.0%} of the object's surroundings"),
-        (confused, 1, 0.02, 0.10, "{:.1%} of its pixels look like " + repr(names[rival - 1])),
+    told = "{:.1%} of its pixels look like " + repr(names[rival - 1]).replace("{", "(").replace(
+        "}", ")"
     )
-    verdict, reasons = PASS, []
-    for value, sign, warn, refuse, text in rules:
-        if sign * value <= sign * warn:
-            continue
-        grade = REFUSE if sign * value > sign * refuse else WARN
-        verdict = max(verdict, grade, key=(PASS, WARN, REFUSE).index)
-        limit = warn if grade == WARN else refuse
-        reasons.append(f"{text.format(value)} (limit {limit:.3g})")
+    verdict = judge(
+        [
+            Limit(recall, MIN_RECALL, REFUSED_RECALL, "finds only {:.1%} of its own pixels", True),
+            Limit(false, MAX_FALSE, REFUSED_FALSE, "takes {:.2%} of the background for the object"),
+            Limit(foreign, MAX_FOREIGN, REFUSED_FOREIGN, "{:.0%} of the disc is not of one colour"),
+            Limit(leak, 0.3, 0.6, "runs out into {:.0%} of the object's surroundings"),
+            Limit(confused, 0.02, 0.10, told),
+        ]
+    )
     return Quality(
         name=name,
-        verdict=verdict,
-        reasons=tuple(reasons),
+        verdict=verdict.grade,
+        reasons=tuple(verdict.reasons),
         recall=recall,
         false_share=false,
         foreign_share=foreign,
@@ -273,6 +270,11 @@ def _judge(
         confused_share=confused,
         n_pixels=int(disc.sum()),
     )
+
+
+def _braced(name: str) -> str:
+    """Return a name in quotes that can stand in a format."""
+    return repr(name).replace("{", "{{").replace("}", "}}")
 
 
 def _leak(found: Array, disc: Array, zone: Array) -> float:

@@ -1,14 +1,22 @@
-"""Camera calibration files: a CameraModel as versioned JSON with a hash over its numbers."""
+"""Camera files: lens and, once the table was measured, the camera's pose over it.
 
-import hashlib
-import json
+::
+
+    {"format": "apex-camera", "version": 1, "sha256": "...",
+     "camera": {"width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px",
+                "dist": [k1, k2, p1, p2, k3], "table_from_cam": 4 x 4 or null},
+     "made": {...}}
+"""
+
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Dict, Mapping, Union
 
 import numpy as np
 
+from apex_edge import documents
 from apex_edge.errors import CalibrationError
-from apex_edge.types import Array, CameraModel
+from apex_edge.types import Array, CameraModel, Intrinsics
 
 FORMAT = "apex-camera"
 VERSION = 1
@@ -16,62 +24,64 @@ N_DIST = 5
 MAX_SIDE_PX = 65535
 
 
-def save_camera(path: Union[str, Path], camera: CameraModel, about: Mapping[str, Any]) -> None:
-    """Write a camera calibration.
+def camera_document(camera: Intrinsics, made: Mapping[str, Any]) -> Dict[str, Any]:
+    """Return the document of a lens, with its pose where ``camera`` is a CameraModel.
 
-    Parameters
-    ----------
-    path : where to; an existing file is replaced in one step.
-    camera : what to write.
-    about : what to remember of its making (date, reprojection error, ...), not hashed.
+    Raises
+    ------
+    CalibrationError : the numbers are not a usable camera.
+    """
+    values = _to_plain(camera)
+    _from_plain(values, "camera")
+    return documents.compose(FORMAT, VERSION, {"camera": values}, made)
+
+
+def save_camera(path: Union[str, Path], camera: Intrinsics, made: Mapping[str, Any]) -> None:
+    """Write a camera file; an existing one is replaced in one step.
 
     Raises
     ------
     CalibrationError : the numbers are not a usable camera, or the file cannot be written.
     """
-    values = _to_plain(camera)
-    _from_plain(values, str(path))
-    document = {
-        "format": FORMAT,
-        "version": VERSION,
-        "camera": values,
-        "sha256": _digest(values),
-        "about": dict(about),
-    }
+    text = documents.to_text(camera_document(camera, made))
     part = Path(f"{path}.part")
     try:
-        part.write_text(json.dumps(document, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+        part.write_text(text, encoding="utf-8")
         part.replace(path)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot write: {error}") from error
 
 
-def load_camera(path: Union[str, Path]) -> CameraModel:
-    """Read a camera calibration.
+def load_intrinsics(path: Union[str, Path]) -> Intrinsics:
+    """Read a lens; a CameraModel where the file holds a pose as well.
 
     Raises
     ------
     CalibrationError : unreadable, another format or version, changed by hand, or out of range.
     """
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot read: {error}") from error
-    except (ValueError, RecursionError) as error:
-        raise CalibrationError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise CalibrationError(f"{path}: not a camera calibration (no format {FORMAT!r})")
-    if document.get("version") != VERSION:
-        raise CalibrationError(
-            f"{path}: calibration version {document.get('version')!r}, expected {VERSION}"
-        )
-    values = document.get("camera")
-    if not isinstance(values, dict) or document.get("sha256") != _digest(values):
-        raise CalibrationError(f"{path}: the numbers do not match their hash; calibrate again")
+    values = documents.read(Path(path), FORMAT, VERSION, CalibrationError).get("camera")
+    if not isinstance(values, dict):
+        raise CalibrationError(f"{path}: no camera in the file")
     return _from_plain(values, str(path))
 
 
-def check_size(camera: CameraModel, picture: Array, where: str) -> None:
+def load_camera(path: Union[str, Path]) -> CameraModel:
+    """Read a camera with its pose over the table.
+
+    Raises
+    ------
+    CalibrationError : as ``load_intrinsics``, or the file knows the lens only.
+    """
+    camera = load_intrinsics(path)
+    if not isinstance(camera, CameraModel):
+        raise CalibrationError(
+            f"{path}: knows the lens, but not where the camera stands over the table; "
+            "add that with `apex calibrate table`"
+        )
+    return camera
+
+
+def check_size(camera: Intrinsics, picture: Array, where: str) -> None:
     """Refuse pictures of another size than the calibration's.
 
     Raises
@@ -86,27 +96,20 @@ def check_size(camera: CameraModel, picture: Array, where: str) -> None:
         )
 
 
-def _digest(values: Mapping[str, Any]) -> str:
-    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
-def _to_plain(camera: CameraModel) -> Dict[str, Any]:
+def _to_plain(camera: Intrinsics) -> Dict[str, Any]:
+    values = {key: float(value) for key, value in asdict(camera).items() if np.ndim(value) == 0}
+    values.update(width_px=int(camera.width_px), height_px=int(camera.height_px))
+    pose = camera.table_from_cam if isinstance(camera, CameraModel) else None
     return {
-        "width_px": int(camera.width_px),
-        "height_px": int(camera.height_px),
-        "fx_px": float(camera.fx_px),
-        "fy_px": float(camera.fy_px),
-        "cx_px": float(camera.cx_px),
-        "cy_px": float(camera.cy_px),
+        **values,
         "dist": np.asarray(camera.dist, dtype=np.float64).ravel().tolist(),
-        "table_from_cam": np.asarray(camera.table_from_cam, dtype=np.float64).tolist(),
+        "table_from_cam": None if pose is None else np.asarray(pose, dtype=np.float64).tolist(),
     }
 
 
-def _from_plain(values: Mapping[str, Any], where: str) -> CameraModel:
+def _from_plain(values: Mapping[str, Any], where: str) -> Intrinsics:
     try:
-        camera = CameraModel(
+        lens = Intrinsics(
             width_px=int(values["width_px"]),
             height_px=int(values["height_px"]),
             fx_px=float(values["fx_px"]),
@@ -114,28 +117,34 @@ def _from_plain(values: Mapping[str, Any], where: str) -> CameraModel:
             cx_px=float(values["cx_px"]),
             cy_px=float(values["cy_px"]),
             dist=np.array(values["dist"], dtype=np.float64),
-            table_from_cam=np.array(values["table_from_cam"], dtype=np.float64),
         )
+        pose = values["table_from_cam"]
+        if pose is not None:
+            lens = CameraModel(**vars(lens), table_from_cam=np.array(pose, dtype=np.float64))
     except KeyError as error:
         raise CalibrationError(f"{where}: camera {error} is missing") from error
     except (TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(f"{where}: camera: {error}") from error
-    _check(camera, where)
-    return camera
+    _check_lens(lens, where)
+    if isinstance(lens, CameraModel):
+        _check_pose(lens.table_from_cam, where)
+    return lens
 
 
-def _check(camera: CameraModel, where: str) -> None:
-    sides = (camera.width_px, camera.height_px)
+def _check_lens(lens: Intrinsics, where: str) -> None:
+    sides = (lens.width_px, lens.height_px)
     if not all(1 <= side <= MAX_SIDE_PX for side in sides):
         raise CalibrationError(f"{where}: picture size {sides} is outside 1..{MAX_SIDE_PX}")
     # written so that NaN fails as well
-    if not (0 < camera.fx_px < np.inf and 0 < camera.fy_px < np.inf):
+    if not (0 < lens.fx_px < np.inf and 0 < lens.fy_px < np.inf):
         raise CalibrationError(f"{where}: focal lengths must be positive numbers")
-    if not np.isfinite([camera.cx_px, camera.cy_px]).all():
+    if not np.isfinite([lens.cx_px, lens.cy_px]).all():
         raise CalibrationError(f"{where}: the principal point is not finite")
-    if camera.dist.shape != (N_DIST,) or not np.isfinite(camera.dist).all():
+    if lens.dist.shape != (N_DIST,) or not np.isfinite(lens.dist).all():
         raise CalibrationError(f"{where}: dist must be {N_DIST} finite numbers (k1 k2 p1 p2 k3)")
-    pose = camera.table_from_cam
+
+
+def _check_pose(pose: Array, where: str) -> None:
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise CalibrationError(f"{where}: table_from_cam must be 4 x 4 finite numbers")
     turn = pose[:3, :3]

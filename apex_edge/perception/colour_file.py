@@ -1,20 +1,17 @@
-"""The colour file: versioned JSON, checked by hash and range before anything is built from it.
+"""The colour file: a signed document, its ranges checked before anything is built from it.
 
 ::
 
     {"format": "apex-edge-colours", "version": 1, "sha256": "...",
      "colours": [{"name", "chroma", "chroma_cov", "log_luma", "log_luma_sd", "gate", "floor"}],
-     "made": {...}}        what it was made from and how well it did; not needed to use it
-
-The hash covers the whole document but itself, in canonical form (sorted keys, no spaces).
+     "made": {...}}
 """
 
-import hashlib
-import json
 import math
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, Sequence
 
+from apex_edge import documents
 from apex_edge.errors import ColourError
 
 FORMAT = "apex-edge-colours"
@@ -27,24 +24,10 @@ _RANGES = {
 }
 
 
-def digest(document: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a document's canonical form without its ``sha256``."""
-    content = {key: value for key, value in document.items() if key != "sha256"}
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
-    return hashlib.sha256(text.encode("ascii")).hexdigest()
-
-
 def compose(colours: Sequence[Mapping[str, Any]], made: Mapping[str, Any]) -> Dict[str, Any]:
     """Return a complete document for colours given as plain mappings."""
-    document = {
-        "format": FORMAT,
-        "version": VERSION,
-        "colours": [dict(colour) for colour in colours],
-        "made": dict(made),
-    }
-    document = json.loads(json.dumps(document))  # tuples become lists, as they will be read
-    document["sha256"] = digest(document)
-    return document
+    content = {"colours": [dict(colour) for colour in colours]}
+    return documents.compose(FORMAT, VERSION, content, made)
 
 
 def read(path: Path) -> List[Dict[str, Any]]:
@@ -54,24 +37,7 @@ def read(path: Path) -> List[Dict[str, Any]]:
     ------
     ColourError : unreadable, not JSON, wrong format, version, hash, key or range.
     """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ColourError(f"{path}: cannot read the colour file: {error}") from error
-    except (ValueError, RecursionError) as error:
-        raise ColourError(f"{path}: not a JSON colour file: {error}") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ColourError(f"{path}: not a colour file, expected format {FORMAT!r}")
-    if document.get("version") != VERSION:
-        raise ColourError(
-            f"{path}: version {document.get('version')!r} is not supported, expected {VERSION}"
-        )
-    found = digest(document)
-    if document.get("sha256") != found:
-        raise ColourError(
-            f"{path}: the content does not match its hash (stated {document.get('sha256')!r}, "
-            f"found {found!r}); calibrate again instead of editing the file"
-        )
+    document = documents.read(path, FORMAT, VERSION, ColourError)
     colours = document.get("colours")
     if not isinstance(colours, list) or not colours:
         raise ColourError(f"{path}: no colours in the file")

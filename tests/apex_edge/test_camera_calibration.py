@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 import record_steps
 
-from apex_edge.cameras.calibration import load_camera, save_camera
+from apex_edge import documents
+from apex_edge.cameras.calibration import load_camera, load_intrinsics, save_camera
 from apex_edge.errors import CalibrationError
+from apex_edge.types import Intrinsics
 
 
 def test_calibration_comes_back_bit_for_bit(tmp_path):
@@ -48,7 +50,7 @@ def test_unusable_camera_is_not_written(tmp_path, change, message):
     "text, message",
     [
         ("", "not JSON"),
-        ("[1, 2]", "not a camera calibration"),
+        ("[1, 2]", "not a file of format"),
         ('{"format": "apex-camera", "version": 7}', "version 7"),
         ('{"format": "apex-camera", "version": 1, "camera": {}, "sha256": "0"}', "hash"),
         ("[" * 100000, "not JSON"),
@@ -66,12 +68,23 @@ def test_missing_calibration_is_refused_by_name(tmp_path):
 
 
 def test_numbers_outside_their_range_are_refused_even_with_a_fitting_hash(tmp_path):
-    from apex_edge.cameras.calibration import _digest
-
     save_camera(tmp_path / "c.json", record_steps.camera_model(), {})
     document = json.loads((tmp_path / "c.json").read_text())
     document["camera"]["dist"] = [0.0, "x"]
-    document["sha256"] = _digest(document["camera"])
+    document["sha256"] = documents.digest(document)
     (tmp_path / "c.json").write_text(json.dumps(document))
     with pytest.raises(CalibrationError, match="camera"):
         load_camera(tmp_path / "c.json")
+
+
+def test_lens_without_a_pose_is_kept_and_says_what_is_missing(tmp_path):
+    whole = record_steps.camera_model()
+    names = [field.name for field in dataclasses.fields(Intrinsics)]
+    lens = Intrinsics(**{name: getattr(whole, name) for name in names})
+    save_camera(tmp_path / "lens.json", lens, {})
+    back = load_intrinsics(tmp_path / "lens.json")
+    assert type(back) is Intrinsics
+    assert back.fx_px == lens.fx_px
+    assert np.array_equal(back.dist, lens.dist)
+    with pytest.raises(CalibrationError, match="apex calibrate table"):
+        load_camera(tmp_path / "lens.json")

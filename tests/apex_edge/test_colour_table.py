@@ -128,8 +128,8 @@ def test_value_out_of_range_is_refused_though_the_hash_fits(tmp_path, changes, w
 @pytest.mark.parametrize(
     "text, words",
     [
-        ("", "not a JSON"),
-        ("[]", "not a colour file"),
+        ("", "not JSON"),
+        ("[]", "not a file of format"),
         ('{"format": "apex-edge-colours", "version": 9}', "version 9 is not supported"),
         ("[" * 5000, "not a"),
     ],

@@ -35,7 +35,7 @@ def taught(truth, frames, label):
     radius = 0.5 * np.sqrt(label["area_px2"] / np.pi)
     sample = colour.Sample(label["name"], label["x_px"], label["y_px"], radius)
     result = colour.solve(frames[label["frame"]], [sample])
-    assert result.verdict != colour.REFUSE
+    assert not result.verdict.is_refused
     return ColourTable(result.models)
 
 

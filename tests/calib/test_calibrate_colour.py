@@ -10,7 +10,9 @@ import pytest
 from apex_edge.errors import ColourError, InputError, RecordingError
 from apex_edge.perception import ColourTable
 from apex_edge.twin.palette import PALETTE, SURROUNDINGS
-from calib import colour, verb
+from calib import colour
+from calib.verbs import colour as verb
+from calib.verdict import PASS, REFUSE, WARN
 
 
 def scene(things, ground=SURROUNDINGS["table"], seed=0, sd=4.0):
@@ -25,7 +27,7 @@ def scene(things, ground=SURROUNDINGS["table"], seed=0, sd=4.0):
 def parsed(*words):
     parser = argparse.ArgumentParser()
     verb.add_arguments(parser)
-    return parser.parse_args(["colour", *words])
+    return parser.parse_args(list(words))
 
 
 def teach(tmp_path, picture, *words):
@@ -43,7 +45,7 @@ SAMPLES = [colour.Sample("red", 80, 100, 11), colour.Sample("green", 220, 120, 1
 
 def test_separable_colours_pass_and_are_found_again_in_other_light():
     result = colour.solve(scene([RED, GREEN]), SAMPLES)
-    assert result.verdict == colour.PASS
+    assert result.verdict.grade == PASS
     assert all(q.recall >= 0.98 and q.false_share <= 0.001 for q in result.quality)
     table = ColourTable(result.models)
     for gain in (0.65, 1.15):
@@ -65,29 +67,29 @@ def test_highlight_in_the_disc_does_not_shift_the_colour():
 def test_disc_drawn_too_large_still_gives_the_object_colour():
     clean = colour.solve(scene([RED]), SAMPLES[:1])
     large = colour.solve(scene([RED]), [colour.Sample("red", 80, 100, 17)])
-    assert large.quality[0].verdict == colour.WARN
+    assert large.quality[0].verdict == WARN
     assert np.allclose(clean.models[0].chroma, large.models[0].chroma, atol=0.03)
 
 
 def test_object_of_the_background_colour_is_refused_and_by_how_much_is_said():
     ground = np.asarray(PALETTE["green"]) * 0.9
     result = colour.solve(scene([GREEN], ground), SAMPLES[1:])
-    assert result.verdict == colour.REFUSE
+    assert result.verdict.grade == REFUSE
     assert result.quality[0].false_share >= 0.5
     assert any("of the background for the object" in reason for reason in result.quality[0].reasons)
 
 
 def test_background_picture_can_refuse_what_the_picture_itself_would_pass():
     behind = scene([(PALETTE["red"], 160, 120, 90)], seed=3)
-    assert colour.solve(scene([RED]), SAMPLES[:1]).verdict == colour.PASS
-    assert colour.solve(scene([RED]), SAMPLES[:1], behind).verdict == colour.REFUSE
+    assert colour.solve(scene([RED]), SAMPLES[:1]).verdict.grade == PASS
+    assert colour.solve(scene([RED]), SAMPLES[:1], behind).verdict.grade == REFUSE
 
 
 def test_two_names_for_one_colour_are_refused_as_confused():
     other = (PALETTE["red"], 220, 120, 15)
     samples = [colour.Sample("red", 80, 100, 11), colour.Sample("rose", 220, 120, 11)]
     result = colour.solve(scene([RED, other]), samples)
-    assert result.verdict == colour.REFUSE
+    assert result.verdict.grade == REFUSE
     assert any("look like" in reason for q in result.quality for reason in q.reasons)
 
 
@@ -98,7 +100,7 @@ def test_discs_of_one_name_are_pooled():
         picture, [colour.Sample("red", 80, 100, 11), colour.Sample("red", 220, 120, 11)]
     )
     assert [q.name for q in result.quality] == ["red"]
-    assert result.verdict == colour.PASS
+    assert result.verdict.grade == PASS
 
 
 @pytest.mark.parametrize("x, y, r", [(-1, 50, 5), (320, 50, 5), (50, 240, 5), (50, 50, 400)])
