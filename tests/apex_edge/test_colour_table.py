@@ -131,7 +131,7 @@ def test_value_out_of_range_is_refused_though_the_hash_fits(tmp_path, changes, w
         ("", "not JSON"),
         ("[]", "not a file of format"),
         ('{"format": "apex-edge-colours", "version": 9}', "version 9 is not supported"),
-        ("[" * 5000, "not a"),
+        ("[" * 5000, "not JSON"),
     ],
 )
 def test_other_files_are_refused(tmp_path, text, words):
