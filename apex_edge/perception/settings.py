@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from apex_edge.config import setting
 
+ADAPTIVE, PAPER = "adaptive", "paper"
+
 
 @dataclass(frozen=True)
 class PerceptionConfig:
@@ -26,6 +28,11 @@ class PerceptionConfig:
     max_miss_s: float = setting(0.25, "a track unseen for longer is lost, s", 0.01, 10.0)
     max_hidden_s: float = setting(
         1.0, "the same for one expected inside a blob that it shares, s", 0.01, 10.0
+    )
+    motion: str = setting(
+        ADAPTIVE,
+        "adaptive: gated least squares; paper: means of five frames, two frames late",
+        choices=(ADAPTIVE, PAPER),
     )
     window: int = setting(20, "most samples in a motion fit", 4, 200)
     min_samples: int = setting(3, "samples before a speed is given", 2, 20)

@@ -12,7 +12,7 @@ from typing import Deque, NamedTuple, Tuple
 
 import numpy as np
 
-from apex_edge.perception.motion import MotionEstimator
+from apex_edge.perception.estimator import Estimator
 from apex_edge.types import Array, TrackStatus
 
 _MEMORY = 15
@@ -53,7 +53,7 @@ class Track:
 
     track_id: int
     name: str
-    motion: MotionEstimator
+    motion: Estimator
     first: Sighting
     noise_px: float
     status: TrackStatus = TrackStatus.SEEN

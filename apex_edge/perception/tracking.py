@@ -13,9 +13,11 @@ import numpy as np
 
 from apex_edge import geometry
 from apex_edge.perception.blobs import Box
+from apex_edge.perception.estimator import Estimator, Motion, MotionRules
 from apex_edge.perception.matching import match
-from apex_edge.perception.motion import Motion, MotionEstimator, MotionRules
-from apex_edge.perception.settings import PerceptionConfig
+from apex_edge.perception.motion import MotionEstimator
+from apex_edge.perception.paper_motion import PaperMotion
+from apex_edge.perception.settings import PAPER, PerceptionConfig
 from apex_edge.perception.sharing import STEP_S, Outlook
 from apex_edge.perception.track import Sighting, Track
 from apex_edge.types import Array, CameraModel, Detections, Tracks, TrackStatus
@@ -190,7 +192,10 @@ class Tracker:
         return False
 
     def _start(self, name: str, sighting: Sighting) -> None:
-        motion = MotionEstimator(self._rules())
+        rules = self._rules()
+        motion: Estimator = MotionEstimator(rules)
+        if self._config.motion == PAPER:
+            motion = PaperMotion(rules)
         self._tracks.append(Track(self._next_id, name, motion, sighting, self._config.noise_px))
         self._next_id += 1
 
