@@ -208,18 +208,18 @@ class MotionEstimator(Estimator):
         return bool(np.sum(miss * miss / variance) <= limit)
 
     def _try_restart(self) -> None:
-        """Start anew from the waiting sightings once they agree among themselves.
+        """Start anew from the newest sightings once they agree among themselves.
 
-        Sightings from before the change never count: two before and two after a reversal between
-        two frames lie on a perfect parabola, twice too fast.
+        Three on a line, of which the gate kept two or more out. Four on a parabola must all have
+        been kept out: two before and two after a reversal lie on a perfect one, twice too fast.
         """
-        waiting = self._waiting
-        if len(waiting) >= 3 and self._agree(waiting[-3:], LINE):
-            self._restart(waiting[-3:])
-        elif len(waiting) >= 4 and self._agree(waiting[-4:], PARABOLA):
-            self._restart(waiting[-4:])
-        elif len(waiting) >= PAPER_WINDOW:
-            self._restart(waiting[-3:])
+        newest = list(self._recent)
+        n_waiting = len(self._waiting)
+        is_line = n_waiting >= 2 and len(newest) >= 3 and self._agree(newest[-3:], LINE)
+        if is_line or n_waiting >= PAPER_WINDOW:
+            self._restart(newest[-3:])
+        elif n_waiting >= 4 and self._agree(newest[-4:], PARABOLA):
+            self._restart(newest[-4:])
 
     def _restart(self, samples: List[Sample]) -> None:
         self._window, self._waiting = list(samples), []
