@@ -1,7 +1,7 @@
 """Find a board in a picture: which corners, and where to a fraction of a pixel.
 
 Chessboards: OpenCV's classic finder first, its sector based one (SB) where that fails, and in
-both cases ``cornerSubPix`` with a window of 0.4 squares. On 14 real pictures (640x512) this gave
+both cases ``cornerSubPix`` with half a window of 0.4 squares. On 14 real pictures (640x512) this gave
 an RMS of 0.123 px, SB's own corners 0.151 px, and a fixed window of 11 px 0.124 px.
 ChArUco: OpenCV's detector, then ``cornerSubPix`` with a window that ends before the markers; the
 detector's own window reaches into them (worst corner of simulated views: 0.59 px, with this 0.15).
@@ -21,7 +21,7 @@ from calib.boards import CHARUCO, Board, charuco_board, load_dictionary
 MIN_CORNERS = 6
 MIN_SIDE_PX = 32
 FIND_SIDE_PX = 1280  # larger pictures are searched at reduced size; corners come from the full one
-WINDOW_SHARE = 0.28  # half a window, of the nearest neighbour's distance: 0.4 along the diagonal
+WINDOW_SHARE = 0.4  # half a window, of the distance to the next corner; from 0.5 on it is seen too
 MARKER_GAP_SHARE = 0.9  # half a window, of the white gap between a corner and the next marker
 MAX_MISFIT = 0.06  # of the board's extent in the picture, off a flat board without distortion
 
@@ -81,6 +81,11 @@ def check_view(view: View) -> None:
         raise CalibrationError(f"{view.name}: {n} corners, at least 4 needed")
     if not (np.isfinite(view.corners_px).all() and np.isfinite(view.points_m).all()):
         raise CalibrationError(f"{view.name}: corners that are not finite")
+
+
+def is_flat_board(view: View) -> bool:
+    """Say whether a view's corners can be one flat board; corners of two pictures cannot."""
+    return _is_flat(view.corners_px, view.points_m[:, :2])
 
 
 def _chessboard(grey: Array, board: Board) -> Optional[Tuple[Array, Array]]:
@@ -148,13 +153,13 @@ def _charuco(grey: Array, board: Board) -> Optional[Tuple[Array, Array]]:
             continue
         order = np.asarray(ids).ravel().astype(np.int64)
         place = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-        if _is_flat_board(place, board.corners_m()[order, :2]):
+        if _is_flat(place, board.corners_m()[order, :2]):
             window = 0.5 * MARKER_GAP_SHARE * (1.0 - board.marker_m / board.square_m)
             return order, _sharpen(grey, place, window)
     return None
 
 
-def _is_flat_board(corners_px: Array, points_m: Array) -> bool:
+def _is_flat(corners_px: Array, points_m: Array) -> bool:
     """Say whether ids and places belong together; a wrong pattern is off by whole squares."""
     spread = np.linalg.svd(points_m - points_m.mean(axis=0), compute_uv=False)
     if spread[1] < 0.05 * spread[0]:
