@@ -30,6 +30,26 @@ def add_board(parser: argparse.ArgumentParser, is_required: bool = True) -> None
     )
 
 
+def add_images(parser: argparse.ArgumentParser) -> None:
+    """Declare the pictures; the option may be repeated, and a pattern be quoted or not."""
+    parser.add_argument(
+        "--images",
+        action="append",
+        nargs="+",
+        metavar="GLOB",
+        help="pictures of the board, e.g. 'shots/*.jpg'",
+    )
+
+
+def add_camera(parser: argparse.ArgumentParser) -> None:
+    """Declare a live camera, as ``apex record`` does."""
+    parser.add_argument("--config", metavar="FILE", help="settings file with a [camera] section")
+    parser.add_argument(
+        "--camera", metavar="NAME", help="camera plug-in: live, or board for a simulated one"
+    )
+    parser.add_argument("--path", help="device or URL; for board e.g. charuco:7x5@25")
+
+
 def board_of(args: argparse.Namespace) -> Board:
     """Return the board that the options name.
 
@@ -40,15 +60,21 @@ def board_of(args: argparse.Namespace) -> Board:
     return parse_board(args.board, 1e-3 * args.square_mm, 1e-3 * args.marker_mm)
 
 
-def expand(patterns: Sequence[str]) -> List[Path]:
-    """Return the files of several patterns, sorted, each once.
+def picture_beside(out: Path) -> Path:
+    """Return the name of the picture that shows a result, never that of the result itself."""
+    shown = out.with_suffix(".png")
+    return out.with_name(out.stem + "-shown.png") if shown == out else shown
+
+
+def expand(given: Sequence[Sequence[str]]) -> List[Path]:
+    """Return the files of all patterns, sorted per pattern, each file once.
 
     Raises
     ------
     RecordingError : a pattern that matches no file.
     """
     found: List[Path] = []
-    for pattern in patterns:
+    for pattern in (pattern for patterns in given for pattern in patterns):
         names = sorted(glob.glob(pattern))  # noqa: PTH207  Path.glob takes no absolute pattern
         files = [path for path in map(Path, names) if path.is_file()]
         if not files:
