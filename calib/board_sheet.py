@@ -119,7 +119,11 @@ def _notes(board: Board) -> Tuple[Text, ...]:
     about = f"{board.squares_x} x {board.squares_y} squares of {1e3 * board.square_m:g} mm{marker}"
     if board.is_ambiguous:
         about += "; looks the same upside down: lens only, not for the table"
-    return (SIDE_MM, 15.5, line), (SIDE_MM, 11.5, about + "; print at 100 %, glue onto a flat plate")
+    return (SIDE_MM, 15.5, line), (
+        SIDE_MM,
+        11.5,
+        about + "; print at 100 %, glue onto a flat plate",
+    )
 
 
 def to_pdf(sheet: Sheet) -> bytes:

@@ -191,4 +191,3 @@ def black_boxes(board: Board) -> Array:
     corner_m, cell_m = markers(board)
     cells = np.column_stack([corner_m, np.full((len(corner_m), 2), cell_m)])
     return np.concatenate([np.array(boxes), cells])
-

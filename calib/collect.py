@@ -100,7 +100,7 @@ class Collector:
         if spread_deg(np.array(self._normals)) < WANTED_TURN_DEG:
             return f"tilt it more: {_untilted(np.array(self._normals))} edge towards the camera"
         if len(self.views) < WANTED_VIEWS:
-            return f"{WANTED_VIEWS - len(self.views)} more views: another distance, another tilt"
+            return f"{WANTED_VIEWS - len(self.views)} to go: another distance, another tilt"
         return ""
 
 

@@ -194,9 +194,7 @@ def _texture(board: Board, scale: float) -> Array:
     paper = np.full(shape, PAPER, np.float32)
     for left, bottom, box_w, box_h in black_boxes(board):
         x0, x1 = (round((value + margin) * scale) for value in (left, left + box_w))
-        y1, y0 = (
-            round((height + margin - value) * scale) for value in (bottom, bottom + box_h)
-        )
+        y1, y0 = (round((height + margin - value) * scale) for value in (bottom, bottom + box_h))
         paper[y0:y1, x0:x1] = INK
     return paper
 

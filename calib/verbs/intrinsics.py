@@ -23,8 +23,7 @@ from calib.verbs.board_options import (
 
 HELP = "measure the lens from pictures of a board, or live"
 EXAMPLE = (
-    "apex calibrate intrinsics --images 'shots/*.jpg' --board 9x6 --square-mm 25 "
-    "--out camera.json"
+    "apex calibrate intrinsics --images 'shots/*.jpg' --board 9x6 --square-mm 25 --out camera.json"
 )
 
 
