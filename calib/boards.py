@@ -19,7 +19,7 @@ CHESSBOARD, CHARUCO = "chessboard", "charuco"
 MARKER_SHARE = 0.7  # of a square; larger markers crowd the corners, smaller ones are missed
 MAX_SQUARES = 40
 FORMS = "9x6 (chessboard, inner corners) or charuco:7x5[:DICT_4X4_50] (ChArUco, squares)"
-_FORM = re.compile(r"(?:(charuco|chessboard):)?(\d{1,3})x(\d{1,3})(?::(DICT_\w+))?")
+_FORM = re.compile(r"(?:(charuco|chessboard):)?(\d{1,3})x(\d{1,3})(?::(DICT_\w+))?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class Board:
         """Return the inner corners (n, 3) in the board's frame, in order of id."""
         n_x, n_y = self.inner
         x, y = np.meshgrid(np.arange(1, n_x + 1), np.arange(n_y, 0, -1))
-        return np.column_stack([x.ravel(), y.ravel(), np.zeros(n_x * n_y)]) * self.square_m
+        flat: Array = np.column_stack([x.ravel(), y.ravel(), np.zeros(n_x * n_y)])
+        return flat * self.square_m
 
     def is_black(self, column: int, row: int) -> bool:
         """Say whether a square is black; rows count from the top, as in the picture of the board.
@@ -127,7 +128,8 @@ def load_dictionary(name: str) -> "cv2.aruco.Dictionary":
     if not hasattr(aruco, name):
         known = sorted(key for key in dir(aruco) if re.fullmatch(r"DICT_\dX\d_\d+", key))
         raise CalibrationError(f"no marker dictionary {name!r}; there are {', '.join(known)}")
-    return aruco.getPredefinedDictionary(getattr(aruco, name))
+    found: "cv2.aruco.Dictionary" = aruco.getPredefinedDictionary(getattr(aruco, name))
+    return found
 
 
 def _dictionary(name: str, n_markers: int) -> str:
@@ -190,4 +192,5 @@ def black_boxes(board: Board) -> Array:
         return np.array(boxes)
     corner_m, cell_m = markers(board)
     cells = np.column_stack([corner_m, np.full((len(corner_m), 2), cell_m)])
-    return np.concatenate([np.array(boxes), cells])
+    result: Array = np.concatenate([np.array(boxes), cells])
+    return result

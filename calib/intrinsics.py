@@ -241,17 +241,16 @@ def _fit(
     flags: int,
     start: Optional[Intrinsics] = None,
 ) -> _Fit:
-    matrix, dist = None, None
+    guess: Tuple[Any, Any] = (None, None)
     if start is not None:
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
-        matrix, dist = camera_matrix(start), start.dist.copy()
+        guess = (camera_matrix(start), start.dist.copy())
     try:
         rms, matrix, dist, turns, shifts, sd, _, errors = cv2.calibrateCameraExtended(
             [view.points_m.astype(np.float32) for view in views],
             [view.corners_px.astype(np.float32) for view in views],
             size_px,
-            matrix,
-            dist,
+            *guess,
             flags=flags,
         )
     except cv2.error as error:

@@ -61,7 +61,7 @@ def coverage_picture(coverage: Array, size_px: Tuple[int, int]) -> Array:
 _SHIFT = 4
 
 
-def _fixed(point: Sequence[float]) -> Tuple[int, int]:
+def _fixed(point: Array) -> Tuple[int, int]:
     return round(float(point[0]) * (1 << _SHIFT)), round(float(point[1]) * (1 << _SHIFT))
 
 

@@ -70,7 +70,8 @@ class BoardRenderer:
         if look.blur_px > 0.0:
             grey = cv2.GaussianBlur(grey, (0, 0), look.blur_px)
         grey = look.brightness * grey + rng.normal(0.0, look.noise, grey.shape)
-        return cv2.cvtColor(np.clip(grey, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+        result: Array = np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+        return result
 
 
 def board_pose(
@@ -180,7 +181,7 @@ class BoardCamera(Camera):
         start, end = varied_poses(self.board, self.lens, index + 2)[-2:]
         share = max(0.0, (step - HOLD_FRAMES + 1) / (MOVE_FRAMES + 1.0))
         axis, _ = cv2.Rodrigues(end[:3, :3] @ start[:3, :3].T)
-        pose = start.copy()
+        pose: Array = start.copy()
         pose[:3, :3] = cv2.Rodrigues(share * axis)[0] @ start[:3, :3]
         pose[:3, 3] = (1.0 - share) * start[:3, 3] + share * end[:3, 3]
         return pose
@@ -205,4 +206,5 @@ def _rays(lens: Intrinsics) -> Array:
     x, y = np.meshgrid(*((np.arange(n) + 0.5) / N_SUB - 0.5 for n in size))
     pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
     flat = cv2.undistortPoints(pixels, camera_matrix(lens), lens.dist).reshape(size[1], size[0], 2)
-    return np.concatenate([flat, np.ones((size[1], size[0], 1))], axis=-1)
+    result: Array = np.concatenate([flat, np.ones((size[1], size[0], 1))], axis=-1)
+    return result

@@ -291,17 +291,17 @@ def _shift_mm(
 ) -> float:
     """Return how far apart two cameras put the same pixel on the table, at most."""
     where = workspace if len(workspace) else table_m
-    there = on_plane(other, _expected(camera, where, height_m), height_m)[:, :2]
+    there = on_plane(other, _expected(camera, where, height_m), np.asarray(height_m))[:, :2]
     return 1e3 * float(np.linalg.norm(there - where, axis=1).max())
 
 
 def _groups(sightings: Sequence[Sighting]) -> List[Array]:
     """Return index arrays into all points: one per place, or rows and columns of a single one."""
     starts = np.cumsum([0, *(len(seen.pixels) for seen in sightings)])
-    places: Dict[Tuple[Tuple[float, ...], ...], List[Array]] = {}
+    places: Dict[Tuple[float, ...], List[Array]] = {}
     for start, seen in zip(starts, sightings):
         # pictures of one board in one place share their points
-        key = tuple(map(tuple, np.round(seen.table_m[[0, -1]], 4)))
+        key = tuple(np.round(seen.table_m[[0, -1]], 4).ravel().tolist())
         places.setdefault(key, []).append(start + np.arange(len(seen.pixels)))
     if len(places) > 1:
         return [np.concatenate(parts) for parts in places.values()]
@@ -321,7 +321,7 @@ def _leave_out(
         except CalibrationError:
             continue  # what is left fixes no pose
         camera, _, _, _ = _two_poses(lens, pixels[rest], table_m[rest], height_m)
-        miss_m = on_plane(camera, pixels[group], height_m)[:, :2] - table_m[group]
+        miss_m = on_plane(camera, pixels[group], np.asarray(height_m))[:, :2] - table_m[group]
         found.append((camera, 1e3 * float(np.sqrt((miss_m**2).sum(axis=1).mean()))))
     return found
 

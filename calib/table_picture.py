@@ -90,7 +90,7 @@ def _ring(frame: Array, centre: Array, radius: float, colour: Tuple[int, int, in
     cv2.circle(frame, _fixed(centre), size, colour, 2, cv2.LINE_AA, _SHIFT)
 
 
-def _fixed(point: Sequence[float]) -> Tuple[int, int]:
+def _fixed(point: Array) -> Tuple[int, int]:
     return round(float(point[0]) * (1 << _SHIFT)), round(float(point[1]) * (1 << _SHIFT))
 
 
