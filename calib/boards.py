@@ -128,7 +128,7 @@ def load_dictionary(name: str) -> "cv2.aruco.Dictionary":
     if not hasattr(aruco, name):
         known = sorted(key for key in dir(aruco) if re.fullmatch(r"DICT_\dX\d_\d+", key))
         raise CalibrationError(f"no marker dictionary {name!r}; there are {', '.join(known)}")
-    found: "cv2.aruco.Dictionary" = aruco.getPredefinedDictionary(getattr(aruco, name))
+    found: cv2.aruco.Dictionary = aruco.getPredefinedDictionary(getattr(aruco, name))
     return found
 
 

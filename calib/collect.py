@@ -72,7 +72,7 @@ class Collector:
         ------
         CalibrationError : not a picture.
         """
-        view = detect(picture, self.board, f"view {len(self.views) + 1}")
+        view = detect(picture, self.board, f"view {len(self.views) + 1}", True)
         last, self._last = self._last, view
         if view is None:
             return self._advice(NOT_SEEN, view, picture)

@@ -43,7 +43,7 @@ class View:
     points_m: Array
 
 
-def detect(picture: Array, board: Board, name: str = "") -> Optional[View]:
+def detect(picture: Array, board: Board, name: str = "", is_quick: bool = False) -> Optional[View]:
     """Return the board's corners in a picture; None when it is not seen.
 
     Parameters
@@ -51,6 +51,7 @@ def detect(picture: Array, board: Board, name: str = "") -> Optional[View]:
     picture : shape (h, w, 3) BGR or (h, w) grey, uint8.
     board : what to look for.
     name : of the picture, for messages.
+    is_quick : give up where the fast finder fails, as a live view should; the next frame comes.
 
     Raises
     ------
@@ -61,7 +62,8 @@ def detect(picture: Array, board: Board, name: str = "") -> Optional[View]:
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     if min(grey.shape) < MIN_SIDE_PX:
         return None
-    found = _charuco(grey, board) if board.kind == CHARUCO else _chessboard(grey, board)
+    find = _charuco if board.kind == CHARUCO else _chessboard
+    found = find(grey, board, is_quick)
     if found is None:
         return None
     ids, corners = found
@@ -90,13 +92,13 @@ def is_flat_board(view: View) -> bool:
     return _is_flat(view.corners_px, view.points_m[:, :2])
 
 
-def _chessboard(grey: Array, board: Board) -> Optional[Tuple[Array, Array]]:
+def _chessboard(grey: Array, board: Board, is_quick: bool) -> Optional[Tuple[Array, Array]]:
     scale = min(1.0, FIND_SIDE_PX / max(grey.shape))
     small = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale)
     # the fast check costs nothing where there is no board; what it misses in bad light, SB finds
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
     is_found, corners = cv2.findChessboardCorners(small, board.inner, None, flags)
-    if not is_found and hasattr(cv2, "findChessboardCornersSB"):
+    if not is_found and not is_quick and hasattr(cv2, "findChessboardCornersSB"):
         is_found, corners = cv2.findChessboardCornersSB(small, board.inner)
     if not is_found or len(corners) != board.inner[0] * board.inner[1]:
         return None
@@ -150,13 +152,13 @@ def _detector(board: Board, is_legacy: bool, is_eager: bool) -> "cv2.aruco.Charu
     return cv2.aruco.CharucoDetector(charuco_board(board, is_legacy), settings)
 
 
-def _charuco(grey: Array, board: Board) -> Optional[Tuple[Array, Array]]:
+def _charuco(grey: Array, board: Board, is_quick: bool) -> Optional[Tuple[Array, Array]]:
     """Try the current pattern, then the one before OpenCV 4.6, each plainly and then eagerly."""
     patterns = (False, True) if board.squares_y % 2 == 0 else (False,)
     best: Optional[Tuple[Array, Array]] = None
     # Eager corners are two to three times less exact, so plain ones are enough from half on.
     enough = 0.5 * board.inner[0] * board.inner[1]
-    for is_eager in (False, True):
+    for is_eager in (False,) if is_quick else (False, True):
         for is_legacy in patterns:
             found = _charuco_corners(grey, board, is_legacy, is_eager)
             if found is not None and (best is None or len(found[0]) > len(best[0])):

@@ -3,8 +3,7 @@
 All points lie in one plane, so a view alone allows two poses; both are refined and compared, and
 when they fit alike but disagree on the table, the data is refused. How well the pose is known is
 said where it counts, on the table: by leaving out a part of the points, predicting where they lie
-and how far the map of the whole workspace moves. Source: ours; the poses are OpenCV's IPPE
-(Collins and Bartoli 2014) and ``solvePnPRefineLM``.
+and how far the map of the whole workspace moves. Source: ours.
 """
 
 import math
@@ -19,6 +18,7 @@ from apex_edge.geometry import camera_matrix, on_plane, project
 from apex_edge.types import Array, CameraModel, Intrinsics
 from calib.boards import Board
 from calib.detect import View
+from calib.planar_pose import refine, two_poses
 from calib.verdict import Limit, Verdict, judge
 
 MIN_POINTS = 4
@@ -155,13 +155,14 @@ def solve(lens: Intrinsics, sightings: Sequence[Sighting], height_m: float) -> T
     pixels = np.concatenate([seen.pixels for seen in sightings] or [np.empty((0, 2))])
     table_m = np.concatenate([seen.table_m for seen in sightings] or [np.empty((0, 2))])
     _check(pixels, table_m, height_m)
-    camera, rms_px, second, second_rms_px = _two_poses(lens, pixels, table_m, height_m)
+    at_height = np.column_stack([table_m, np.full(len(table_m), height_m)])
+    (camera, rms_px), (second, second_rms_px) = two_poses(lens, pixels, at_height)
     _check_side(camera, height_m)
     workspace = _workspace(camera)
     if rms_px <= MAX_RMS_PX:  # else neither pose fits, which is the fault to report
         apart_mm = _shift_mm(camera, second, workspace, table_m, height_m)
         _check_ambiguity((rms_px, second_rms_px), apart_mm)
-    left_out = _leave_out(lens, (pixels, table_m), _groups(sightings), height_m)
+    left_out = _leave_out(camera, (pixels, table_m), _groups(sightings), height_m)
     loo_mm = [error for _, error in left_out]
     moved_mm = [_shift_mm(camera, other, workspace, table_m, height_m) for other, _ in left_out]
     position_sd_m, angle_sd_rad = _sds(camera, pixels, table_m, height_m)
@@ -203,50 +204,6 @@ def _check(pixels: Array, table_m: Array, height_m: float) -> None:
             raise CalibrationError(
                 f"the points lie on a line in the {where}; spread them over an area"
             )
-
-
-def _two_poses(
-    lens: Intrinsics, pixels: Array, table_m: Array, height_m: float
-) -> Tuple[CameraModel, float, CameraModel, float]:
-    """Return the better and the worse of the two poses that a plane allows, each with its rms."""
-    flat = np.column_stack([table_m, np.zeros(len(table_m))])
-    # about their middle: IPPE loses digits far from the origin
-    middle = flat.mean(axis=0)
-    matrix = camera_matrix(lens)
-    try:
-        n, turns, shifts, _ = cv2.solvePnPGeneric(
-            flat - middle, pixels, matrix, lens.dist, flags=cv2.SOLVEPNP_IPPE
-        )
-    except cv2.error as error:
-        raise CalibrationError(f"no pose explains these points: {error.err}") from error
-    found: List[Tuple[float, CameraModel]] = []
-    for turn, shift in zip(turns[:n], shifts[:n]):
-        turn, shift = cv2.solvePnPRefineLM(flat - middle, pixels, matrix, lens.dist, turn, shift)
-        pose = _table_from_cam(turn, shift, middle + (0.0, 0.0, height_m))
-        if not np.isfinite(pose).all():
-            continue
-        camera = CameraModel(**{**_lens_values(lens), "table_from_cam": pose})
-        miss = pixels - _expected(camera, table_m, height_m)
-        rms_px = float(np.sqrt((miss**2).sum(axis=1).mean()))
-        if math.isfinite(rms_px):
-            found.append((rms_px, camera))
-    if not found:
-        raise CalibrationError("no pose explains these points")
-    found.sort(key=lambda pair: pair[0])
-    return found[0][1], found[0][0], found[-1][1], found[-1][0]
-
-
-def _lens_values(lens: Intrinsics) -> Dict[str, Any]:
-    names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "dist")
-    return {name: getattr(lens, name) for name in names}
-
-
-def _table_from_cam(turn: Array, shift: Array, middle_m: Array) -> Array:
-    rotation = cv2.Rodrigues(turn)[0].T
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    pose[:3, 3] = middle_m - rotation @ np.asarray(shift).ravel()
-    return pose
 
 
 def _expected(camera: CameraModel, table_m: Array, height_m: float) -> Array:
@@ -309,7 +266,7 @@ def _groups(sightings: Sequence[Sighting]) -> List[Array]:
 
 
 def _leave_out(
-    lens: Intrinsics, data: Tuple[Array, Array], groups: Sequence[Array], height_m: float
+    camera: CameraModel, data: Tuple[Array, Array], groups: Sequence[Array], height_m: float
 ) -> List[Tuple[CameraModel, float]]:
     """Return, per group, the camera found without it and the rms error in mm of its prediction."""
     pixels, table_m = data
@@ -320,9 +277,10 @@ def _leave_out(
             _check(pixels[rest], table_m[rest], height_m)
         except CalibrationError:
             continue  # what is left fixes no pose
-        camera, _, _, _ = _two_poses(lens, pixels[rest], table_m[rest], height_m)
-        miss_m = on_plane(camera, pixels[group], np.asarray(height_m))[:, :2] - table_m[group]
-        found.append((camera, 1e3 * float(np.sqrt((miss_m**2).sum(axis=1).mean()))))
+        at_height = np.column_stack([table_m[rest], np.full(len(rest), height_m)])
+        other, _ = refine(camera, pixels[rest], at_height)
+        miss_m = on_plane(other, pixels[group], np.asarray(height_m))[:, :2] - table_m[group]
+        found.append((other, 1e3 * float(np.sqrt((miss_m**2).sum(axis=1).mean()))))
     return found
 
 

@@ -69,8 +69,7 @@ def test_symmetric_chessboards_and_no_others_are_ambiguous(name, is_ambiguous):
     # the printed pattern itself, turned by half a turn about its middle
     boxes = {tuple(np.round(box[:2], 6)) for box in black_boxes(board)}
     turned = {
-        tuple(np.round(np.array(board.size_m) - box[:2] - box[2:], 6))
-        for box in black_boxes(board)
+        tuple(np.round(np.array(board.size_m) - box[:2] - box[2:], 6)) for box in black_boxes(board)
     }
     assert (boxes == turned) == is_ambiguous
 
@@ -163,9 +162,14 @@ def test_board_that_does_not_fit_is_refused_and_the_stated_size_would():
         board_sheet.lay_out(replace(board, square_m=1e-3 * (room_mm + 0.1)), "a4")
 
 
-@pytest.mark.parametrize("square_mm, out, match", [(25, "board.jpg", "pdf or .png"),
-                                                   (60, "board.pdf", "does not fit"),
-                                                   (25, "no/board.pdf", "cannot write")])  # fmt: skip
+@pytest.mark.parametrize(
+    "square_mm, out, match",
+    [
+        (25, "board.jpg", "pdf or .png"),
+        (60, "board.pdf", "does not fit"),
+        (25, "no/board.pdf", "cannot write"),
+    ],
+)
 def test_verb_refuses_and_writes_nothing(tmp_path, square_mm, out, match):
     words = ("--board", "9x6", "--square-mm", square_mm, "--out", tmp_path / out)
     with pytest.raises(InputError, match=match):
