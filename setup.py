@@ -89,10 +89,14 @@ setup(
         ],
         "apex_edge.calibrations": [
             "colour = calib.verbs.colour",
+            "hand-eye = calib.verbs.hand_eye",
+            "servo = calib.verbs.servo",
+            "latency = calib.verbs.latency",
         ],
         "apex_edge.benches": [
             "latency = offline_train.benchmarks.latency",
             "rollout = offline_train.benchmarks.rollout",
+            "hand-eye = offline_train.benchmarks.hand_eye",
         ],
     },
 )
