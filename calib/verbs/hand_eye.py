@@ -8,7 +8,7 @@ from calib.hand_eye import HandEyeResult, solve
 from calib.hand_eye_file import hand_eye_document
 from calib.hand_eye_picture import draw
 from calib.made import files_digest, made
-from calib.outcome import Told, check_usable, deliver, faults_told
+from calib.verbs.outcome import Told, check_usable, deliver, faults_told
 from calib.pose_pairs import read_pairs
 
 HELP = "find where the camera sits on the gripper"
