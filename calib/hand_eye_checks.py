@@ -89,7 +89,8 @@ def turn_mismatch_deg(pairs: PosePairs) -> Array:
     first, second = np.triu_indices(len(pairs), k=1)
     result = np.zeros((len(pairs), len(pairs)))
     result[first, second] = np.degrees(np.abs(angles[0] - angles[1]))
-    return result + result.T
+    result += result.T
+    return result
 
 
 def repeated(pairs: PosePairs) -> Array:

@@ -1,4 +1,4 @@
-"""Ways to solve A X = X B for an eye in the hand, each ``(base_from_gripper, cam_from_target) -> X``.
+"""Ways to solve A X = X B for an eye in the hand: (base_from_gripper, cam_from_target) -> X.
 
 A is a motion of the gripper, B the same motion seen by the camera, X = gripper_from_cam (4, 4).
 """

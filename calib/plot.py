@@ -1,6 +1,6 @@
 """Small charts drawn with OpenCV, for the pictures that calibrations leave beside their files."""
 
-from typing import Optional, Sequence, Tuple
+from typing import Optional, Sequence, Tuple, Union
 
 import cv2
 import numpy as np
@@ -9,6 +9,7 @@ from apex_edge.types import Array
 
 Bgr = Tuple[int, int, int]
 Range = Tuple[float, float]
+Numbers = Union[Array, Sequence[float]]
 INK: Bgr = (40, 40, 40)
 GRID: Bgr = (222, 222, 222)
 BLUE: Bgr = (180, 110, 40)
@@ -61,15 +62,15 @@ class Chart:
             write(picture, f"{value:g}", (x - 38, line + 4), 0.35)
         cv2.rectangle(picture, (x, y), (x + w, y + h), INK)
 
-    def line(self, x: Sequence[float], y: Sequence[float], colour: Bgr, width_px: int = 1) -> None:
+    def line(self, x: Numbers, y: Numbers, colour: Bgr, width_px: int = 1) -> None:
         """Draw a line through points (n,)."""
         points = self._place(x, y).reshape(-1, 1, 2)
         cv2.polylines(self._picture, [points], False, colour, width_px, cv2.LINE_AA, _SHIFT)
 
     def dots(
         self,
-        x: Sequence[float],
-        y: Sequence[float],
+        x: Numbers,
+        y: Numbers,
         colour: Bgr,
         names: Optional[Sequence[str]] = None,
     ) -> None:
@@ -81,7 +82,7 @@ class Chart:
                 beside = ((centre[0] >> _SHIFT) + 4, (centre[1] >> _SHIFT) - 3)
                 write(self._picture, names[index], beside, 0.32)
 
-    def bars(self, x: Sequence[float], y: Sequence[float], width: float, colour: Bgr) -> None:
+    def bars(self, x: Numbers, y: Numbers, width: float, colour: Bgr) -> None:
         """Draw bars (n,) from zero; ``width`` in units of x."""
         low = self._place(np.asarray(x) - 0.5 * width, np.zeros(len(x))) >> _SHIFT
         high = self._place(np.asarray(x) + 0.5 * width, y) >> _SHIFT
@@ -93,7 +94,7 @@ class Chart:
         """Draw a level line across the chart."""
         self.line(list(self._x), [y, y], colour)
 
-    def _place(self, x: Sequence[float], y: Sequence[float]) -> Array:
+    def _place(self, x: Numbers, y: Numbers) -> Array:
         left, top, w, h = self._box
         across = (np.clip(x, *self._x) - self._x[0]) / (self._x[1] - self._x[0])
         up = (np.clip(y, *self._y) - self._y[0]) / (self._y[1] - self._y[0])
@@ -102,7 +103,7 @@ class Chart:
         return result
 
 
-def span(values: Sequence[float], margin: float = 0.08) -> Range:
+def span(values: Numbers, margin: float = 0.08) -> Range:
     """Return a range that holds all finite values with some margin."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
@@ -123,5 +124,6 @@ def _ticks(bounds: Range, n_wanted: float) -> Array:
     raw = (high - low) / max(n_wanted, 1.0)
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((1, 2, 5, 10), key=lambda each: abs(each - raw / power))
-    result: Array = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
-    return np.where(np.abs(result) < 1e-9 * step, 0.0, result)
+    ticks = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+    result: Array = np.where(np.abs(ticks) < 1e-9 * step, 0.0, ticks)
+    return result

@@ -8,8 +8,8 @@ from calib.hand_eye import HandEyeResult, solve
 from calib.hand_eye_file import hand_eye_document
 from calib.hand_eye_picture import draw
 from calib.made import files_digest, made
-from calib.verbs.outcome import Told, check_usable, deliver, faults_told
 from calib.pose_pairs import read_pairs
+from calib.verbs.outcome import Told, check_usable, deliver, faults_told
 
 HELP = "find where the camera sits on the gripper"
 EXAMPLE = "apex calibrate hand-eye --pairs pairs.csv --out handeye.json"

@@ -19,7 +19,7 @@ from apex_edge.types import Array
 from apex_edge.verbs.progress import Progress
 from calib.hand_eye import REFINED, HandEyeResult, solve
 from calib.hand_eye_checks import apart
-from calib.pose_pairs import PosePairs, pairs_from, pairs_text, read_pairs
+from calib.pose_pairs import PosePairs, pairs_text, read_pairs
 from calib.rigid import (
     inverse,
     pose,
@@ -50,12 +50,13 @@ def simulate(
     rng: np.random.RandomState,
     half_range_deg: float = 40.0,
     n_axes: int = 3,
-    noise: Noise = Noise(),
+    noise: Optional[Noise] = None,
 ) -> PosePairs:
     """Return n pairs of an arm that turns evenly within a range about one to three axes.
 
     ``HAND`` and ``TARGET`` are the truth.
     """
+    shake = noise if noise is not None else Noise()
     turns_deg = rng.uniform(-half_range_deg, half_range_deg, (n, 3))
     turn = np.eye(3)
     for axis in (2, 1, 0)[:n_axes]:  # yaw, pitch, roll
@@ -65,8 +66,8 @@ def simulate(
     )
     camera = inverse(gripper @ HAND) @ TARGET
     return PosePairs(
-        gripper @ _shake(n, rng, noise.arm_deg, noise.arm_mm),
-        camera @ _shake(n, rng, noise.camera_deg, noise.camera_mm),
+        gripper @ _shake(n, rng, shake.arm_deg, shake.arm_mm),
+        camera @ _shake(n, rng, shake.camera_deg, shake.camera_mm),
         np.arange(1, n + 1),
     )
 
