@@ -37,6 +37,7 @@ from calib.verdict import REFUSE, Limit, Verdict, judge
 
 REFINED = "refined"
 MAX_CAMERA_M = 0.5  # no arm on a table carries its camera further from the gripper
+SWAPPED_CAMERA_M = 0.2  # the same when the target is even nearer to the base
 _MAX_FOLDS = 40
 _SEED = 0
 
@@ -313,7 +314,8 @@ def _far_limit(found: Solution) -> Limit:
         "the camera would be {:.2f} m off the gripper, and the target "
         f"{target_m:.2f} m off the base; is each pose the right way round?"
     )
-    return Limit(camera_m, min(target_m, MAX_CAMERA_M), MAX_CAMERA_M, told)
+    most_m = MAX_CAMERA_M if camera_m <= target_m else SWAPPED_CAMERA_M
+    return Limit(camera_m, min(target_m, most_m), most_m, told)
 
 
 def _named(

@@ -77,6 +77,20 @@ class ServoFit:
         return {**values, "reasons": list(self.reasons)}
 
 
+class _Numbers(NamedTuple):
+    """The measured part of a ``ServoFit``."""
+
+    zero_us: float
+    us_per_rad: float
+    sd_zero_us: float
+    sd_us_per_rad: float
+    backlash_deg: float
+    sd_backlash_deg: float
+    residual_up_deg: float
+    residual_down_deg: float
+    left_out_deg: float
+
+
 class _Line(NamedTuple):
     """A least-squares fit: ``beta (p,)``, its covariance, residuals and leverages (n,)."""
 
@@ -166,7 +180,7 @@ def _fit(samples: ServoSamples) -> ServoFit:
     used = samples.pick(kept)
     if judge(early).is_refused or kept.sum() < MIN_SAMPLES:
         lost = [Limit(float(kept.sum()), MIN_SAMPLES, MIN_SAMPLES, "{:.0f} readings agree", True)]
-        return _made(samples, kept, judge(early + lost), np.full(9, np.nan))
+        return _made(samples, kept, judge(early + lost), _Numbers(*[math.nan] * 9))
     line = _least_squares(_design(used), used.angle_deg)
     offset, slope = line.beta[0], line.beta[1]
     up, down = used.is_up, ~used.is_up
@@ -174,18 +188,16 @@ def _fit(samples: ServoSamples) -> ServoFit:
     us_per_rad = math.degrees(1.0) / slope
     zero_us = -offset / slope
     to_zero = np.array([-1.0 / slope, offset / slope**2])
-    values = np.array(
-        [
-            zero_us,
-            us_per_rad,
-            math.sqrt(to_zero @ line.cov[:2, :2] @ to_zero),
-            abs(us_per_rad / slope) * math.sqrt(line.cov[1, 1]),
-            2.0 * abs(line.beta[2]) if is_both else np.nan,
-            2.0 * math.sqrt(line.cov[2, 2]) if is_both else np.nan,
-            _rms(line.residual[up]),
-            _rms(line.residual[down]),
-            _rms(line.residual / np.maximum(1.0 - line.leverage, 1e-6)),
-        ]
+    values = _Numbers(
+        float(zero_us),
+        float(us_per_rad),
+        math.sqrt(to_zero @ line.cov[:2, :2] @ to_zero),
+        float(abs(us_per_rad / slope)) * math.sqrt(line.cov[1, 1]),
+        2.0 * abs(float(line.beta[2])) if is_both else math.nan,
+        2.0 * math.sqrt(line.cov[2, 2]) if is_both else math.nan,
+        _rms(line.residual[up]),
+        _rms(line.residual[down]),
+        _rms(line.residual / np.maximum(1.0 - line.leverage, 1e-6)),
     )
     verdict = judge([*early, *_limits(values, 1.0 - kept.mean())])
     bend_deg, is_bent = _bend(used)
@@ -202,7 +214,7 @@ def _made(
     samples: ServoSamples,
     kept: Array,
     verdict: Verdict,
-    values: Array,
+    values: _Numbers,
     bend_deg: float = math.nan,
 ) -> ServoFit:
     off = _off_deg(samples)
@@ -211,10 +223,10 @@ def _made(
         for i in np.flatnonzero(~kept)
     )
     return ServoFit(
-        int(samples.servo_id[0]),
-        verdict.grade,
-        tuple(verdict.reasons),
-        *(float(value) for value in values),
+        servo_id=int(samples.servo_id[0]),
+        verdict=verdict.grade,
+        reasons=tuple(verdict.reasons),
+        **values._asdict(),
         bend_deg=bend_deg,
         span_deg=float(np.ptp(samples.angle_deg)),
         n_samples=len(samples.row),
@@ -222,29 +234,38 @@ def _made(
     )
 
 
-def _limits(values: Array, rejected_share: float) -> List[Limit]:
-    zero_us, us_per_rad, _, _, backlash, _, up, down, left_out = values
+def _limits(values: _Numbers, rejected_share: float) -> List[Limit]:
+    residuals = (
+        (UP, values.residual_up_deg),
+        (DOWN, values.residual_down_deg),
+        ("left out", values.left_out_deg),
+    )
     limits = [
         Limit(residual, GOOD_DEG, REFUSED_DEG, "residual {:.2f} deg, " + name)
-        for name, residual in ((UP, up), (DOWN, down), ("left out", left_out))
-        if np.isfinite(residual)
+        for name, residual in residuals
+        if math.isfinite(residual)
     ]
-    if np.isfinite(backlash):
-        limits.append(Limit(backlash, 2.0, 8.0, "backlash {:.2f} deg"))
+    if math.isfinite(values.backlash_deg):
+        limits.append(Limit(values.backlash_deg, 2.0, 8.0, "backlash {:.2f} deg"))
     limits += [
         Limit(rejected_share, 0.1, 0.2, "{:.0%} of the readings contradict the others"),
-        Limit(abs(us_per_rad), MAX_US_PER_RAD, MAX_US_PER_RAD, "{:.0f} us per rad; in degrees?"),
-        Limit(abs(zero_us - 1500.0), 1500.0, 2500.0, "pulse at angle 0 is {:.0f} us off 1500"),
+        Limit(
+            abs(values.us_per_rad), MAX_US_PER_RAD, MAX_US_PER_RAD, "{:.0f} us per rad; in degrees?"
+        ),
+        Limit(
+            abs(values.zero_us - 1500.0), 1500.0, 2500.0, "pulse at angle 0 is {:.0f} us off 1500"
+        ),
     ]
     return limits
 
 
 def _design(samples: ServoSamples) -> Array:
-    """Return the columns 1, pulse and, where both directions occur, half the direction's sign."""
+    """Return the columns 1, pulse and, where both directions occur, the direction's sign."""
     columns = [np.ones(len(samples.row)), samples.pulse_us]
     if samples.is_up.any() and not samples.is_up.all():
         columns.append(np.where(samples.is_up, 1.0, -1.0))
-    return np.column_stack(columns)
+    design: Array = np.column_stack(columns)
+    return design
 
 
 def _least_squares(design: Array, angle_deg: Array) -> _Line:
@@ -280,7 +301,7 @@ def _one_way_share(samples: ServoSamples) -> float:
 
 
 def _off_deg(samples: ServoSamples) -> Array:
-    """Return how far readings (n,) are from a robust line (Theil-Sen), each direction for itself."""
+    """Return how far readings (n,) are from a robust line (Theil-Sen), one a direction."""
     slopes = _pair_slopes(samples)
     left = samples.angle_deg - (np.median(slopes) if len(slopes) else 0.0) * samples.pulse_us
     off = np.zeros(len(left))

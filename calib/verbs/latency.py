@@ -66,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
         signal, response = read_series(events), read_series(frames)
         result = solve(signal, response, args.max_latency_s)
     includes = [DISPLAY] if is_live else []
-    figures = {**result.figures(), "includes": includes}
+    measured = result.figures()
+    figures = {**measured, "includes": includes}
     check_usable(result.verdict, figures, f"{events} and {frames}", args.json)
     about = made(
         files_digest([events, frames]),
