@@ -33,7 +33,7 @@ _OLD_PICTURE_S = 0.25  # a camera's own delay: its stamp may be that much later 
 _N_PICTURES = 100
 
 
-def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses: int = 20) -> Array:
+def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses: int = 24) -> Array:
     """Return joints (n, k) that point the hand at a place on the table from many sides.
 
     Of random poses whose hand points to within 25 degrees of ``aim_m`` (3,), those are taken in
@@ -43,9 +43,7 @@ def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses:
     ------
     CalibrationError : the arm cannot look there from enough sides.
     """
-    low, high = arm.limits_rad[:, 0], arm.limits_rad[:, 1]
-    margin = 0.02 * (high - low)
-    joints = rng.uniform(low + margin, high - margin, (_N_TRIED, arm.n_joints))
+    joints = _towards(arm, np.asarray(aim_m, dtype=np.float64), rng)
     pose = arm.gripper_pose(joints)
     away = np.asarray(aim_m, dtype=np.float64) - pose[:, :3, 3]
     distance = np.linalg.norm(away, axis=1)
@@ -139,6 +137,25 @@ def _picture_after(camera: Camera, t_s: float) -> Array:
         if frame.t_s >= t_s:
             return frame.colour_bgr
     raise CameraError("the camera gave no picture of the standing arm; is its clock the arm's?")
+
+
+def _towards(arm: ArmModel, aim_m: Array, rng: np.random.RandomState) -> Array:
+    """Return random joints (n, k) within their limits whose hand points about at ``aim_m`` (3,).
+
+    Yaw, shoulder and elbow are drawn, the wrist is then bent towards the aim, more or less.
+    """
+    low, high = arm.limits_rad[:, 0], arm.limits_rad[:, 1]
+    margin = 0.02 * (high - low)
+    joints = rng.uniform(low + margin, high - margin, (_N_TRIED, arm.n_joints))
+    joints[:, 0] = np.arctan2(aim_m[1], aim_m[0]) + rng.uniform(-0.8, 0.8, _N_TRIED)
+    wrist = arm.forward(joints)[:, 2]
+    ahead = wrist[:, 0] * np.cos(joints[:, 0]) + wrist[:, 1] * np.sin(joints[:, 0])
+    pitch = np.arctan2(aim_m[2] - wrist[:, 2], float(np.hypot(*aim_m[:2])) - ahead)
+    pitch += rng.uniform(-_MAX_OFF_RAD, _MAX_OFF_RAD, _N_TRIED)
+    joints[:, 3] = pitch - joints[:, 1] + joints[:, 2]
+    inside = ((joints >= low + margin) & (joints <= high - margin)).all(axis=1)
+    drawn: Array = joints[inside]
+    return drawn
 
 
 def _may_go(arm: ArmModel, start: Array, goal: Array) -> bool:

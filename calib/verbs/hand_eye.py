@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     live.add_argument("--aim", type=_place, default=(0.2, 0.0), metavar="x,y", help="board, m")
     live.add_argument("--board", type=_board, default=(9, 6), metavar="9x6", help="inner corners")
-    live.add_argument("--square-mm", type=float, default=25.0, help="side of a square (25)")
+    live.add_argument("--square-mm", type=float, help="measured side of a square; no default")
     live.add_argument("--yes", action="store_true", help="let the arm move without asking")
 
 
@@ -95,6 +95,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _collect(args: argparse.Namespace) -> Path:
     """Drive the arm through its poses; returns the file of pairs, kept beside the result."""
+    if args.square_mm is None or not 1.0 <= args.square_mm <= 200.0:
+        raise ConfigError(f"--square-mm must be given, 1 to 200 mm; found {args.square_mm}")
     bench = Bench.read(args.config)
     arm = bench.model()
     if not bench.camera.calibration:
@@ -112,11 +114,10 @@ def _collect(args: argparse.Namespace) -> Path:
         args.yes,
     )
     detect = chessboard(lens, args.board, 1e-3 * args.square_mm)
-    clock = time.monotonic
     # nothing moves before the camera has shown a picture
     with bench.open_camera() as camera:
         camera.read(bench.camera.timeout_s)
-        with ReadyArm(arm, bench.arm.port, clock) as ready:
+        with ReadyArm(arm, bench.arm.port, time.monotonic, time.sleep) as ready:
             pairs = hand_eye_live.collect(ready, camera, detect, joints, _tell)
     path: Path = args.out.with_name(f"{args.out.stem}-pairs.csv")
     files.write_whole({path: pairs_text(pairs).encode("utf-8")})
@@ -124,7 +125,10 @@ def _collect(args: argparse.Namespace) -> Path:
 
 
 def chessboard(lens: Intrinsics, board: Tuple[int, int], square_m: float) -> hand_eye_live.Detector:
-    """Return a detector of a chessboard with so many inner corners, their first as its origin."""
+    """Return a detector of a chessboard with so many inner corners.
+
+    Its origin is the corner at whose inner side a square is black, x along the first number.
+    """
     columns, rows = board
     grid = np.zeros((rows * columns, 3), dtype=np.float32)
     grid[:, :2] = square_m * np.mgrid[0:columns, 0:rows].T.reshape(-1, 2)
@@ -134,10 +138,20 @@ def chessboard(lens: Intrinsics, board: Tuple[int, int], square_m: float) -> han
         is_found, corners = cv2.findChessboardCornersSB(grey, board, flags=cv2.CALIB_CB_ACCURACY)
         if not is_found:
             return None
+        # the finder starts at either end; a board of odd times even has black inside one of them
+        quads = corners.reshape(rows, columns, 2)
+        first, last = (q.mean(axis=(0, 1)) for q in (quads[:2, :2], quads[-2:, -2:]))
+        if _grey_at(grey, first) > _grey_at(grey, last):
+            corners = corners[::-1].copy()
         is_solved, turn, place = cv2.solvePnP(grid, corners, camera_matrix(lens), lens.dist)
         return pose(cv2.Rodrigues(turn)[0], place.ravel()) if is_solved else None
 
     return detect
+
+
+def _grey_at(grey: Array, place_px: Array) -> float:
+    patch = cv2.getRectSubPix(grey, (5, 5), (float(place_px[0]), float(place_px[1])))
+    return float(patch.mean())
 
 
 def _tell(line: str) -> None:

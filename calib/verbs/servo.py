@@ -72,7 +72,7 @@ def _collect(args: argparse.Namespace, arm: ArmModel) -> Path:
         f"{len(poses)} angles up and down; put a protractor on it. An empty answer skips one.",
         args.yes,
     )
-    with ReadyArm(arm, bench.arm.port, time.monotonic) as ready:
+    with ReadyArm(arm, bench.arm.port, time.monotonic, time.sleep) as ready:
         samples = servo_live.collect(ready, args.joint, poses, _ask)
     path: Path = args.out.with_name(f"{args.out.stem}-samples.csv")
     files.write_whole({path: samples_text(samples).encode("utf-8")})

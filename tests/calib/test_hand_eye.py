@@ -28,10 +28,10 @@ from offline_train.benchmarks.hand_eye import HAND, SPOILS, Noise, campaign, sim
 
 EXACT = Noise(0.0, 0.0, 0.0, 0.0)
 GOOD = Noise(0.1, 0.3, 0.2, 0.5)
-PLAIN_KEYS = (
-    "verdict reasons method translation_m quaternion_xyzw scatter_rms_mm scatter_rms_deg "
-    "n_pairs n_used rejected methods"
-).split()
+PLAIN_KEYS = {
+    *("verdict", "reasons", "method", "translation_m", "quaternion_xyzw", "scatter_rms_mm"),
+    *("scatter_rms_deg", "n_pairs", "n_used", "rejected", "methods"),
+}
 
 
 def rng(seed=0):
@@ -324,7 +324,7 @@ def test_verb_writes_a_signed_file_and_a_picture_and_tells_all_as_json(tmp_path,
     code, out = calibrate(tmp_path, written(tmp_path, sound))
     told = json.loads(capsys.readouterr().out)
     assert code == 0
-    assert not [key for key in PLAIN_KEYS if key not in told]
+    assert set(told) >= PLAIN_KEYS
     assert told["verdict"] == PASS
     assert told["n_used"] == told["n_pairs"] == 20
     document = documents.read(out, "apex-hand-eye", 1, CalibrationError)
