@@ -15,7 +15,7 @@ import numpy as np
 
 from apex_edge.errors import CalibrationError
 from apex_edge.types import Array
-from calib.pose_pairs import read_numbers
+from calib.pose_pairs import MAX_NUMBER, read_numbers
 from calib.verdict import REFUSE, Limit, Verdict, judge
 
 MIN_FRAMES, WANTED_FRAMES = 40, 150
@@ -143,8 +143,9 @@ def _checked(name: str, times: Array, values: Array) -> Tuple[Array, Array]:
             f"{name}: times and values must be two equal rows of 2 or more, found {t_s.shape} "
             f"and {found.shape}"
         )
-    if not (np.isfinite(t_s).all() and np.isfinite(found).all()):
-        raise CalibrationError(f"{name}: times and values must be finite")
+    # written so that NaN is refused
+    if not (np.abs(np.concatenate([t_s, found])) <= MAX_NUMBER).all():
+        raise CalibrationError(f"{name}: times and values must be finite, up to {MAX_NUMBER:g}")
     if (np.diff(t_s) < 0.0).any():
         raise CalibrationError(f"{name}: the clock goes backwards")
     if not 0.0 < t_s[-1] - t_s[0] <= MAX_DURATION_S:

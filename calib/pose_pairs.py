@@ -21,6 +21,7 @@ COLUMNS = tuple(f"{side}_{part}" for side in ("gripper", "target") for part in _
 MAX_POSES = 500
 # No arm on a table reaches 10 m; millimetres taken for metres always do.
 MAX_PLACE_M = 10.0
+MAX_NUMBER = 1e12  # no time, length or brightness is larger, and its square is still a number
 _UNIT_TOLERANCE = 0.01
 
 
@@ -157,9 +158,11 @@ def _places(names: Sequence[str], ending: str) -> List[int]:
 
 def _numbers(path: Path, index: int, cells: Sequence[str]) -> List[float]:
     for column, cell in enumerate(cells):
-        if not _is_number(cell) or not np.isfinite(float(cell)):
+        # written so that NaN is refused
+        if not _is_number(cell) or not abs(float(cell)) <= MAX_NUMBER:
             raise CalibrationError(
-                f"{path}: row {index + 1}, column {column + 1}: {cell!r} is not a finite number"
+                f"{path}: row {index + 1}, column {column + 1}: {cell[:40]!r} is not a finite "
+                f"number up to {MAX_NUMBER:g}"
             )
     return [float(cell) for cell in cells]
 
