@@ -401,3 +401,21 @@ def test_spread_of_axes_is_that_of_the_motion():
     assert motion.range_deg == pytest.approx(40.0)
     assert motion.spread_deg[1] == pytest.approx(0.0, abs=1e-6)
     assert abs(motion.axes[0, 2]) == pytest.approx(1.0)
+
+
+def test_garbled_files_are_typed_errors_and_nothing_else(tmp_path, sound):
+    """Cells and characters replaced at random: refused, or read as finite rigid poses."""
+    random, path = rng(5), tmp_path / "pairs.csv"
+    tokens = ["nan", "-inf", "1e308", "", "-1", '"', "\n", "x", "\0", "9" * 400, "0", ","]
+    text = pairs_text(sound)
+    for _ in range(300):
+        letters = list(text)
+        for place in random.randint(len(letters), size=random.randint(1, 6)):
+            letters[place] = tokens[random.randint(len(tokens))]
+        path.write_text("".join(letters))
+        try:
+            pairs = read_pairs(path)
+        except CalibrationError:
+            continue
+        assert np.isfinite(pairs.base_from_gripper).all()
+        assert np.isfinite(pairs.cam_from_target).all()
