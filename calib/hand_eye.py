@@ -156,8 +156,9 @@ def solve(pairs: PosePairs, is_refined: bool = False) -> HandEyeResult:
         return _refused(
             n, f"{n} pose pairs; at least {MIN_POSES} are needed, {WANTED_POSES} wanted"
         )
-    rejected = [(int(row), "repeats an earlier pose") for row in pairs.row[repeated(pairs)]]
-    distinct = pairs.pick(~repeated(pairs))
+    is_repeated = repeated(pairs)
+    rejected = [(int(row), "repeats an earlier pose") for row in pairs.row[is_repeated]]
+    distinct = pairs.pick(~is_repeated)
     if len(distinct) < MIN_POSES:
         return _refused(
             n,

@@ -322,13 +322,16 @@ def _solve_text(text: str) -> Tuple[Optional[HandEyeResult], str]:
 
 def _print_simulated(table: List[Dict[str, Any]]) -> None:
     print("simulated arms (0.5 deg 1 mm; camera 0.2 deg 0.5 mm), medians")
-    print(f"{'':<26} {'error':>16} {'scatter left out':>18} {'sd':>8}  pass warn refuse")
+    print(
+        f"{'':<26} {'error':>16} {'scatter left out':>18} {'sd':>8} {'refined':>10}  pass warn refuse"
+    )
     for row in table:
-        figures = " " * 44
+        figures = " " * 55
         if row["error_mm"] is not None:
             figures = (
                 f"{row['error_mm']:7.2f} mm {row['error_deg']:5.2f} d"
                 f" {row['scatter_mm']:8.2f} mm {row['scatter_deg']:5.2f} d {row['sd_mm']:5.1f} mm"
+                f" {row['refined_error_mm']:7.2f} mm"
             )
         counts = f"{row['pass']:5d} {row['warn']:4d} {row['refuse']:6d}"
         print(f"{row['setup']:<26} {figures} {counts}")
