@@ -323,7 +323,8 @@ def _solve_text(text: str) -> Tuple[Optional[HandEyeResult], str]:
 def _print_simulated(table: List[Dict[str, Any]]) -> None:
     print("simulated arms (0.5 deg 1 mm; camera 0.2 deg 0.5 mm), medians")
     print(
-        f"{'':<26} {'error':>16} {'scatter left out':>18} {'sd':>8} {'refined':>10}  pass warn refuse"
+        f"{'':<26} {'error':>16} {'scatter left out':>18} {'sd':>8} {'refined':>10}"
+        "  pass warn refuse"
     )
     for row in table:
         figures = " " * 55
