@@ -94,10 +94,14 @@ setup(
             "colour = calib.verbs.colour",
             "intrinsics = calib.verbs.intrinsics",
             "table = calib.verbs.table",
+            "hand-eye = calib.verbs.hand_eye",
+            "servo = calib.verbs.servo",
+            "latency = calib.verbs.latency",
         ],
         "apex_edge.benches": [
             "latency = offline_train.benchmarks.latency",
             "rollout = offline_train.benchmarks.rollout",
+            "hand-eye = offline_train.benchmarks.hand_eye",
         ],
     },
 )
