@@ -9,7 +9,7 @@ from apex_edge.errors import InputError
 from apex_edge.perception import blobs, depth
 from apex_edge.perception.blobs import Blob, Box
 from apex_edge.perception.colour import ColourTable
-from apex_edge.perception.settings import PerceptionConfig
+from apex_edge.perception.settings import PerceptionConfig, ball_radii
 from apex_edge.perception.tracking import Tracker
 from apex_edge.types import Detections, Frame, Tracks
 
@@ -106,7 +106,7 @@ def _check(frame: Frame) -> None:
 def _detections(
     frame: Frame, found: List[Blob], table: ColourTable, config: PerceptionConfig
 ) -> Detections:
-    placed = [_place(blob, frame, config) for blob in found]
+    placed = [_place(blob, frame, table, config) for blob in found]
     return Detections(
         seq=frame.seq,
         t_s=frame.t_s,
@@ -121,7 +121,8 @@ def _detections(
     )
 
 
-def _place(blob: Blob, frame: Frame, config: PerceptionConfig) -> depth.Placed:
+def _place(blob: Blob, frame: Frame, table: ColourTable, config: PerceptionConfig) -> depth.Placed:
     if frame.camera is None:
         return depth.NOWHERE
-    return depth.place(blob, frame.depth_mm, frame.camera, config)
+    radius_m = ball_radii(config.ball_radius_m).get(table.names[blob.label - 1], math.nan)
+    return depth.place(blob, frame.depth_mm, frame.camera, config, radius_m)
