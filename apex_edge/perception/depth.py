@@ -39,7 +39,7 @@ _ANGLES = np.deg2rad(np.arange(0.0, 180.0, 15.0))
 _DIRECTIONS = np.vstack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _EXTENT = 0.96  # of a side lies between the 3rd and 97th percentile
 _CENTRE_DEPTH = 0.75  # centre lies this many radii behind a ball's median surface
-_ROUND_SIDES, _FILL = 0.75, 0.12  # a ball's outline against its box; others are hidden or no ball
+_ROUND_SIDES, _FILL = 0.75, 0.03  # outlines that are less round are hidden in part, or no ball
 _OUTLINE_PX = 0.7  # RMS error of the outline's radius, on 258 balls of the twin: 0.67
 _RADIUS_SHARE = 0.02  # relative sd of a radius that somebody measured
 
@@ -194,10 +194,7 @@ def _from_size(
     blob: Blob, ray: Array, camera: CameraModel, ball_radius_m: float
 ) -> Optional[Estimate]:
     """Return how far a ball of known radius is, by the area of its outline."""
-    width, height = blob.box_px[2:]
-    fill = blob.area_px2 / (0.25 * math.pi * width * height)
-    is_round = min(width, height) > _ROUND_SIDES * max(width, height) and abs(fill - 1) < _FILL
-    if not ball_radius_m > 0.0 or blob.touches_border or not is_round:
+    if not ball_radius_m > 0.0 or blob.touches_border or blob.is_part or not _is_round(blob):
         return None
     radius_px = math.sqrt(blob.area_px2 / math.pi)
     # the outline's area on the plane at unit depth; the lens stretches it differently everywhere
@@ -208,6 +205,20 @@ def _from_size(
     reach = ball_radius_m * math.sqrt(1.0 + math.pi * float(np.linalg.norm(ray)) / area)
     sd = reach * math.hypot(_OUTLINE_PX / radius_px, _RADIUS_SHARE)
     return Estimate(reach, sd, ball_radius_m)
+
+
+def _is_round(blob: Blob) -> bool:
+    """Say whether the whole outline of a ball can be seen: an ellipse, and not a long one."""
+    xx, xy, yy = blob.spread_px2
+    product = xx * yy - xy * xy
+    if product <= 0.0:
+        return False
+    half = 0.5 * (xx + yy)
+    shorter = half - math.sqrt(max(0.0, half * half - product))
+    area = 4.0 * math.pi * math.sqrt(product)  # of an ellipse with these moments
+    return abs(blob.area_px2 / area - 1.0) < _FILL and shorter > _ROUND_SIDES**2 * (
+        2.0 * half - shorter
+    )
 
 
 def _from_plane(
