@@ -9,6 +9,7 @@ from apex_edge.errors import InputError
 from apex_edge.perception import blobs, depth
 from apex_edge.perception.blobs import Blob, Box
 from apex_edge.perception.colour import ColourTable
+from apex_edge.perception.pieces import drop_far
 from apex_edge.perception.settings import PerceptionConfig, ball_radii
 from apex_edge.perception.sharing import Outlook, part
 from apex_edge.perception.tracking import Tracker
@@ -88,6 +89,7 @@ class Perception:
 
     def _tell_apart(self, frame: Frame, found: List[Blob], outlook: Outlook) -> Detections:
         """Cut blobs that several tracks share, and place what can be told."""
+        found = drop_far(found, frame.depth_mm)
         told, hidden = part(found, outlook, self._colours.names)
         self._tracker.hide(hidden)
         return _detections(frame, told, self._colours, self._config)
