@@ -46,6 +46,11 @@ setup(
     extras_require={
         "train": ["scikit-learn>=1.0"],
         "offline": ["scikit-learn>=1.0", "mujoco>=2.3", "joblib>=1.2", "matplotlib>=3.5"],
+        # drivers of depth cameras: docs/depth-cameras.md says which machine has a package
+        "realsense": ["pyrealsense2>=2.50"],
+        "oak": ["depthai>=2.24,<3"],
+        "orbbec": ['pyorbbecsdk2>=2.0; python_version >= "3.8"'],
+        # no "picamera2": it needs the system's libcamera, and comes with it: apt, not pip
         "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1"],
         "lint": [
             # 1.4.1 is the last mypy that checks for 3.7; it runs in the 3.7 environment
@@ -74,6 +79,10 @@ setup(
             "video = apex_edge.cameras.video:VideoCamera",
             "folder = apex_edge.cameras.folder:FolderCamera",
             "live = apex_edge.cameras.live:LiveCamera",
+            "realsense = apex_edge.cameras.realsense:RealSenseCamera",
+            "oak = apex_edge.cameras.oak:OakCamera",
+            "orbbec = apex_edge.cameras.orbbec:OrbbecCamera",
+            "picamera2 = apex_edge.cameras.picamera2:Picamera2Camera",
         ],
         "apex_edge.triggers": [
             "analytic = apex_edge.triggers.analytic:AnalyticTrigger",
