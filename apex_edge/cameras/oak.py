@@ -6,6 +6,7 @@ the device pairs the two. The stamp is the middle of the exposure on depthai's h
 """
 
 import time
+from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from typing import Any, Optional
@@ -128,12 +129,9 @@ class OakSource(Source):
     def close(self) -> None:
         """Let go of the device."""
         device, self._device = self._device, None
-        if device is None:
-            return
-        try:
-            device.close()
-        except RuntimeError:
-            pass  # unplugged: there is nothing left to close
+        if device is not None:
+            with suppress(RuntimeError):  # unplugged: there is nothing left to close
+                device.close()
 
 
 class OakCamera(GrabbingCamera):

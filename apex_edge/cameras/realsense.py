@@ -6,6 +6,7 @@ day); without kernel support for metadata it is the arrival, and then the calibr
 """
 
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, Optional
@@ -33,7 +34,7 @@ SDK = Sdk(
 
 
 class RealSenseSource(Source):
-    """Grab colour and aligned depth; ``path`` is a serial number, or a recording of the SDK's own."""
+    """Grab colour and aligned depth; ``path`` is a serial number, or a recording of the SDK."""
 
     def __init__(
         self, config: CameraConfig, clock: Clock, wall: Callable[[], float] = time.time
@@ -121,12 +122,9 @@ class RealSenseSource(Source):
     def close(self) -> None:
         """Stop the streams."""
         pipeline, self._pipeline = self._pipeline, None
-        if pipeline is None:
-            return
-        try:
-            pipeline.stop()
-        except RuntimeError:
-            pass  # unplugged: there is nothing left to stop
+        if pipeline is not None:
+            with suppress(RuntimeError):  # unplugged: there is nothing left to stop
+                pipeline.stop()
 
 
 class RealSenseCamera(GrabbingCamera):

@@ -39,8 +39,8 @@ _ANGLES = np.deg2rad(np.arange(0.0, 180.0, 15.0))
 _DIRECTIONS = np.vstack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _EXTENT = 0.96  # of a side lies between the 3rd and 97th percentile
 _CENTRE_DEPTH = 0.75  # centre lies this many radii behind a ball's median surface
-# A ball's whole outline is an ellipse: area / that of its moments' ellipse. On the twin 0.985..0.996
-# for 270 balls, below 0.981 for 95 % of 390 blocks and hidden balls.
+# A ball's whole outline is an ellipse: area / area of the ellipse with its moments. On the twin
+# 0.985..0.996 for 270 balls, below 0.982 for 95 % of 390 blocks.
 _FULL, _ROUND_SIDES = 0.98, 0.75
 _OUTLINE_PX = 0.5  # sd of the outline's radius; on the same balls 0.3 RMS
 _RADIUS_SHARE = 0.02  # relative sd of a radius that somebody measured
