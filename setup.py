@@ -50,7 +50,8 @@ setup(
         "realsense": ["pyrealsense2>=2.50"],
         "oak": ["depthai>=2.24,<3"],
         "orbbec": ['pyorbbecsdk2>=2.0; python_version >= "3.8"'],
-        # no "picamera2": it needs the system's libcamera, and comes with it: apt, not pip
+        # better from apt, beside the libcamera that it must fit: python3-picamera2
+        "picamera": ['picamera2>=0.3.20; python_version >= "3.9"'],
         "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1"],
         "lint": [
             # 1.4.1 is the last mypy that checks for 3.7; it runs in the 3.7 environment

@@ -29,4 +29,5 @@ def _table(unit_m: float) -> Array:
     mm = np.rint(np.arange(SATURATED + 1) * (unit_m / MM_M))
     mm[mm >= SATURATED] = SATURATED
     mm[SATURATED] = SATURATED
-    return mm.astype(np.uint16)
+    table: Array = mm.astype(np.uint16)
+    return table

@@ -63,10 +63,12 @@ def _terms(points: Array) -> Array:
     r2 = x * x + y * y
     along_x = [x * r2, x * r2**2, 2.0 * x * y, r2 + 2.0 * x * x, x * r2**3]
     along_y = [y * r2, y * r2**2, r2 + 2.0 * y * y, 2.0 * x * y, y * r2**3]
-    return np.stack([np.column_stack(along_x), np.column_stack(along_y)], axis=1)
+    result: Array = np.stack([np.column_stack(along_x), np.column_stack(along_y)], axis=1)
+    return result
 
 
 def _grid(lens: Intrinsics) -> Array:
     x = (np.linspace(0.0, lens.width_px, _N_GRID) - lens.cx_px) / lens.fx_px
     y = (np.linspace(0.0, lens.height_px, _N_GRID) - lens.cy_px) / lens.fy_px
-    return np.column_stack([part.ravel() for part in np.meshgrid(x, y)])
+    result: Array = np.column_stack([part.ravel() for part in np.meshgrid(x, y)])
+    return result

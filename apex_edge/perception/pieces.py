@@ -42,7 +42,8 @@ def _near_only(blob: Blob, depth_mm: Array) -> Blob:
 
 def _inside(blob: Blob, contours: Sequence[Array]) -> Array:
     """Return the part of the blob's core that lies inside some of its outlines."""
-    return cv2.bitwise_and(_filled(blob, contours), blob.core)
+    result: Array = cv2.bitwise_and(_filled(blob, contours), blob.core)
+    return result
 
 
 def _filled(blob: Blob, contours: Sequence[Array]) -> Array:
