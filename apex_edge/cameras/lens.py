@@ -1,6 +1,6 @@
 """Makers' lens models -> the five coefficients (k1, k2, p1, p2, k3) used everywhere here.
 
-All of them bend a point by a polynomial; five coefficients that bend a grid over the whole picture
+Whatever the model, it bends points; the five coefficients that bend a grid over the whole picture
 alike are a linear least-squares problem.
 """
 
@@ -35,19 +35,10 @@ def from_opencv(lens: Intrinsics, coefficients: Sequence[float]) -> Array:
     if not values[5:].any():
         result: Array = np.append(values[:5], np.zeros(max(0, 5 - len(values))))
         return result
-    ideal = _grid(lens)
+    ideal = grid(lens)
     points = np.column_stack([ideal, np.ones(len(ideal))])
     bent, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), values)
     return fit(ideal, bent.reshape(-1, 2))
-
-
-def from_inverse(lens: Intrinsics, coefficients: Sequence[float]) -> Array:
-    """Return the five for a model that unbends by the polynomial, as RealSense's inverse one."""
-    values = np.asarray(coefficients, dtype=np.float64)
-    if not values.any():
-        return np.zeros(5)
-    bent = _grid(lens)
-    return fit(bent + _terms(bent) @ values, bent)
 
 
 def fit(ideal: Array, bent: Array) -> Array:
@@ -67,7 +58,8 @@ def _terms(points: Array) -> Array:
     return result
 
 
-def _grid(lens: Intrinsics) -> Array:
+def grid(lens: Intrinsics) -> Array:
+    """Return points (n, 2) at unit depth that cover the picture of a lens without distortion."""
     x = (np.linspace(0.0, lens.width_px, _N_GRID) - lens.cx_px) / lens.fx_px
     y = (np.linspace(0.0, lens.height_px, _N_GRID) - lens.cy_px) / lens.fy_px
     result: Array = np.column_stack([part.ravel() for part in np.meshgrid(x, y)])

@@ -56,7 +56,9 @@ def build_pipeline(dai: Any, config: CameraConfig) -> Any:
         mono.setResolution(dai.MonoCameraProperties.SensorResolution.THE_400_P)
         mono.setFps(config.fps)
         mono.out.link(entry)
-    stereo.setDefaultProfilePreset(dai.node.StereoDepth.PresetMode.HIGH_ACCURACY)
+    # depth of one eye that the other confirms; the rest are holes
+    stereo.setLeftRightCheck(True)
+    stereo.setSubpixel(True)
     stereo.setDepthAlign(dai.CameraBoardSocket.CAM_A)
     stereo.setOutputSize(1920 * numerator // denominator, 1080 * numerator // denominator)
     pairs = pipeline.create(dai.node.Sync)
@@ -67,6 +69,14 @@ def build_pipeline(dai: Any, config: CameraConfig) -> Any:
     out.setStreamName(STREAM)
     pairs.out.link(out.input)
     return pipeline
+
+
+def read_pair(dai: Any, pair: Any) -> Shot:
+    """Return the shot in a message group of the pipeline."""
+    colour, depth = pair["colour"], pair["depth"]
+    taken = colour.getTimestamp(dai.CameraExposureOffset.MIDDLE)
+    # depth is in mm already; copied: the buffer belongs to the message
+    return Shot(taken.total_seconds(), colour.getCvFrame(), np.array(depth.getFrame()))
 
 
 class OakSource(Source):
@@ -120,11 +130,7 @@ class OakSource(Source):
             pair = self._queue.tryGet()
         except RuntimeError as error:
             raise CameraError(f"OAK: {error}") from error
-        if pair is None:
-            return None
-        colour, depth = pair["colour"], pair["depth"]
-        taken = colour.getTimestamp(self._dai.CameraExposureOffset.MIDDLE)
-        return Shot(taken.total_seconds(), colour.getCvFrame(), np.array(depth.getFrame()))
+        return None if pair is None else read_pair(self._dai, pair)
 
     def close(self) -> None:
         """Let go of the device."""

@@ -70,6 +70,8 @@ class OrbbecSource(Source):
 
     def _start(self, ob: Any) -> None:
         config = self._config
+        # else the SDK leaves a folder "Log" wherever the program was started
+        ob.Context.set_logger_to_file(ob.OBLogLevel.NONE, "")
         devices = ob.Context().query_devices()
         if devices.get_count() == 0:
             raise CameraError("no Orbbec camera is plugged in, or this user may not open it")

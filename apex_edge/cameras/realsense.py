@@ -16,7 +16,7 @@ import numpy as np
 from apex_edge.cameras.base import CameraConfig
 from apex_edge.cameras.depth_unit import to_mm
 from apex_edge.cameras.grabbing import WAIT_S, Clock, GrabbingCamera, Shot, Source
-from apex_edge.cameras.lens import from_inverse, from_opencv, plain_lens
+from apex_edge.cameras.lens import fit, grid, plain_lens
 from apex_edge.cameras.sdk import Sdk, load
 from apex_edge.cameras.stamps import CaptureClock
 from apex_edge.errors import CameraError
@@ -60,6 +60,9 @@ class RealSenseSource(Source):
         wanted = rs.config()
         if Path(config.path).is_file():
             wanted.enable_device_from_file(config.path, False)
+        elif len(rs.context().query_devices()) == 0:
+            # asked first: the pipeline waits fifteen seconds for one
+            raise CameraError("no RealSense camera is plugged in, or this user may not open it")
         elif config.path:
             wanted.enable_device(config.path)
         size, fps = (config.width, config.height), int(round(config.fps))
@@ -138,7 +141,11 @@ class RealSenseCamera(GrabbingCamera):
 
 def _lens(rs: Any, found: Any) -> Intrinsics:
     lens = plain_lens((found.width, found.height), (found.fx, found.fy), (found.ppx, found.ppy))
-    # the SDK lists k1 k2 p1 p2 k3, as OpenCV does
-    is_inverse = found.model == rs.distortion.inverse_brown_conrady
-    bend = from_inverse if is_inverse else from_opencv
-    return replace(lens, dist=bend(lens, found.coeffs))
+    if not any(found.coeffs):
+        return lens
+    # The SDK knows several polynomials, and what it does for one of them has changed over time:
+    # its own function is the reference.
+    bent = grid(lens)
+    pixels = bent * (found.fx, found.fy) + (found.ppx, found.ppy)
+    ideal = [rs.rs2_deproject_pixel_to_point(found, list(pixel), 1.0)[:2] for pixel in pixels]
+    return replace(lens, dist=fit(np.array(ideal), bent))
