@@ -137,6 +137,12 @@ def test_ball_half_hidden_is_not_taken_for_a_far_one(share):
     assert np.linalg.norm(pos_m - truth) <= 0.020
 
 
+def test_size_that_would_put_the_ball_below_the_table_is_dropped():
+    frame = without_depth(ball_frame(0, (0.2, 0.05, 0.015), 0.015))
+    pos_m, _, _ = placed(frame, ball_radius_m=("red=0.030",))
+    assert pos_m[2] == pytest.approx(0.030)
+
+
 def test_size_is_used_by_the_lens_where_the_ball_is():
     bent = replace(CAMERA, dist=np.array([-0.25, 0.06, 0.0, 0.0, 0.0]))
     truth = np.array([0.30, 0.24, 0.12])
