@@ -10,11 +10,12 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from contextlib import ExitStack
-from typing import Callable, NamedTuple, Optional
+from typing import Callable, ClassVar, NamedTuple, Optional
 
 from apex_edge.cameras.base import Camera, CameraConfig, NewestSlot
 from apex_edge.cameras.calibration import check_size, load_camera
 from apex_edge.cameras.playback import is_same_picture
+from apex_edge.cameras.sdk import Sdk
 from apex_edge.errors import CameraError
 from apex_edge.types import Array, CameraModel, Frame, Intrinsics
 
@@ -80,6 +81,8 @@ class GrabbingCamera(Camera):
     """
 
     is_live = True
+    sdk: ClassVar[Optional[Sdk]] = None
+    """The maker's package that this type needs."""
 
     def __init__(
         self,

@@ -147,6 +147,7 @@ class OakCamera(GrabbingCamera):
     """
 
     type = "oak"
+    sdk = SDK
 
     def __init__(self, config: CameraConfig, clock: Clock = time.monotonic) -> None:
         super().__init__(config, lambda: OakSource(config, clock), clock)

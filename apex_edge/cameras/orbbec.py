@@ -141,6 +141,7 @@ class OrbbecCamera(GrabbingCamera):
     """Read an Orbbec camera; ``path`` is its serial number, or empty for the first one."""
 
     type = "orbbec"
+    sdk = SDK
 
     def __init__(self, config: CameraConfig, clock: Clock = time.monotonic) -> None:
         super().__init__(config, lambda: OrbbecSource(config, clock), clock)

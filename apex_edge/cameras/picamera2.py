@@ -109,6 +109,7 @@ class Picamera2Camera(GrabbingCamera):
     """Read a Raspberry Pi camera; ``path`` is its number, or empty for the first one."""
 
     type = "picamera2"
+    sdk = SDK
 
     def __init__(self, config: CameraConfig, clock: Clock = time.monotonic) -> None:
         super().__init__(config, lambda: Picamera2Source(config, clock), clock)

@@ -134,6 +134,7 @@ class RealSenseCamera(GrabbingCamera):
     """Read an Intel RealSense camera; ``path`` is its serial number, or empty for the first one."""
 
     type = "realsense"
+    sdk = SDK
 
     def __init__(self, config: CameraConfig, clock: Clock = time.monotonic) -> None:
         super().__init__(config, lambda: RealSenseSource(config, clock), clock)
