@@ -201,10 +201,10 @@ def _from_size(
     radius_px = math.sqrt(blob.area_px2 / math.pi)
     # the outline's area on the plane at unit depth; the lens stretches it differently everywhere
     x, y = blob.centre_px
-    aside = geometry.rays(camera, np.array([[x + radius_px, y], [x, y + radius_px]])) - ray
-    area = blob.area_px2 / radius_px**2 * float(np.linalg.norm(np.cross(aside[0], aside[1])))
+    a, b = geometry.rays(camera, np.array([[x + radius_px, y], [x, y + radius_px]])) - ray
+    area = blob.area_px2 / radius_px**2 * math.sqrt((a @ a) * (b @ b) - (a @ b) ** 2)
     # exact for a sphere on the optical axis; off the axis its outline is longer by the ray's length
-    reach = ball_radius_m * math.sqrt(1.0 + math.pi * float(np.linalg.norm(ray)) / area)
+    reach = ball_radius_m * math.sqrt(1.0 + math.pi * math.sqrt(ray @ ray) / area)
     sd = reach * math.hypot(_OUTLINE_PX / radius_px, _RADIUS_SHARE)
     return Estimate(reach, sd, ball_radius_m)
 

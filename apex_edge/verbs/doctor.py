@@ -225,10 +225,12 @@ def check_driver(camera_type: str) -> List[Check]:
 
     try:
         sdk = getattr(plugins.load("cameras", camera_type), "sdk", None)
-        found = None if sdk is None else load(sdk, camera_type)
+        if sdk is None:
+            return []
+        load(sdk, camera_type)
     except ApexError as error:
         return [Check("camera driver", FAIL, str(error))]
-    return [] if found is None else [Check("camera driver", OK, f"{sdk.module} for {camera_type}")]
+    return [Check("camera driver", OK, f"{sdk.module} for {camera_type}")]
 
 
 def check_serial_ports() -> List[Check]:
