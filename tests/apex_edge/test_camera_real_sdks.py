@@ -42,6 +42,7 @@ def dai():
 def ob():
     found = installed("pyorbbecsdk")
     found.Context.set_logger_to_console(found.OBLogLevel.NONE)
+    found.Context.set_logger_to_file(found.OBLogLevel.NONE, "")
     return found
 
 
