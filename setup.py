@@ -52,7 +52,8 @@ setup(
         "orbbec": ['pyorbbecsdk2>=2.0; python_version >= "3.8"'],
         # better from apt, beside the libcamera that it must fit: python3-picamera2
         "picamera": ['picamera2>=0.3.20; python_version >= "3.9"'],
-        "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1"],
+        "hiwonder": ["pyyaml>=5.3"],
+        "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1", "pyyaml>=5.3"],
         "lint": [
             # 1.4.1 is the last mypy that checks for 3.7; it runs in the 3.7 environment
             'mypy==1.4.1; python_version < "3.8"',
