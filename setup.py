@@ -85,6 +85,7 @@ setup(
             "oak = apex_edge.cameras.oak:OakCamera",
             "orbbec = apex_edge.cameras.orbbec:OrbbecCamera",
             "picamera2 = apex_edge.cameras.picamera2:Picamera2Camera",
+            "board = calib.simulated:BoardCamera",
         ],
         "apex_edge.triggers": [
             "analytic = apex_edge.triggers.analytic:AnalyticTrigger",
@@ -99,7 +100,10 @@ setup(
             "llm = apex_edge.planners.llm:LlmPlanner",
         ],
         "apex_edge.calibrations": [
+            "board = calib.verbs.board",
             "colour = calib.verbs.colour",
+            "intrinsics = calib.verbs.intrinsics",
+            "table = calib.verbs.table",
         ],
         "apex_edge.benches": [
             "latency = offline_train.benchmarks.latency",

@@ -21,7 +21,7 @@ class CameraConfig:
     type: str = setting(
         "twin",
         "name of a registered camera: twin; mcap, video, folder (recordings); live (V4L2 or HTTP), "
-        "realsense, oak, orbbec, picamera2",
+        "realsense, oak, orbbec, picamera2; board (simulated, for calibration)",
     )
     path: str = setting(
         "",
