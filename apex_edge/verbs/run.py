@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Callable
 
-from apex_edge import __version__
+from apex_edge import __version__, plugins
 from apex_edge.agent import STALE_S
 from apex_edge.agent import run as run_agent
 from apex_edge.assemble import ApexConfig, Kit, load_config, open_camera, twin_scene
@@ -98,7 +98,7 @@ def _check_real_arm(config: ApexConfig, path: Path) -> None:
     ------
     ConfigError : a recorded source, no colours of one's own, or the twin's board.
     """
-    if config.camera.type != "live":
+    if not getattr(plugins.load("cameras", config.camera.type), "is_live", False):
         raise ConfigError(
             f"{path}: a real arm moves only for a live camera, found camera.type = "
             f"{config.camera.type!r}; use apex replay, or leave arm.port out"
