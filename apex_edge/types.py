@@ -70,7 +70,9 @@ class Detections:
     """Blobs found in one frame, n of them.
 
     ``centre_px (n, 2)``, ``area_px2 (n,)``, ``box_px (n, 4)`` x, y, w, h;
-    ``pos_m (n, 3)``, ``pos_sd_m (n,)`` and ``radius_m (n,)`` are NaN without a calibration.
+    ``spread_px2 (n, 3)`` second central moments xx, xy, yy; ``is_part (n,)`` cut out of a blob
+    that several objects share; ``pos_m (n, 3)``, ``pos_sd_m (n,)`` and ``radius_m (n,)`` are NaN
+    without a calibration.
     """
 
     seq: int
@@ -80,6 +82,8 @@ class Detections:
     area_px2: Array
     box_px: Array
     touches_border: Array
+    spread_px2: Array
+    is_part: Array
     pos_m: Array
     pos_sd_m: Array
     radius_m: Array
@@ -93,8 +97,8 @@ class Tracks:
     ``cov (n, 6, 6)`` of position and velocity, ``radius_m (n,)``, ``n_samples (n,)`` behind the
     motion fit, ``status (n,)`` of TrackStatus, ``age_s (n,)`` since last seen,
     ``centre_px (n, 2)``, ``area_px2 (n,)``, ``is_manoeuvre (n,)`` when the motion just
-    changed. Without a calibration the metric fields are NaN. ``smooth_m (n, 3)`` is the paper's
-    mean of the last five positions.
+    changed, ``is_blurred (n,)`` when the picture smears it along its motion. Without a calibration
+    the metric fields are NaN. ``smooth_m (n, 3)`` is the paper's mean of the last five positions.
     """
 
     seq: int
@@ -112,6 +116,7 @@ class Tracks:
     centre_px: Array
     area_px2: Array
     is_manoeuvre: Array
+    is_blurred: Array
     smooth_m: Array
 
 

@@ -16,15 +16,14 @@ from apex_edge.errors import ColourError
 from apex_edge.perception.colour_model import (
     GATE_999,
     LUMA_SD,
-    N_WORDS,
     ColourModel,
     distance2,
     features,
     label_table,
     model_from,
     word_features,
-    words,
 )
+from apex_edge.perception.lookup import N_WORDS, words
 from apex_edge.types import Array
 from calib.verdict import Limit, Verdict, judge, worst
 

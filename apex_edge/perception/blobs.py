@@ -1,16 +1,18 @@
 """Connected regions of one colour: where, how large, and their sub-pixel centre.
 
 The whole picture is only searched coarsely, for boxes; the regions themselves are always taken
-at full resolution inside a window (0.05 ms an object instead of 0.6 ms a picture, measured).
+at full resolution inside a window. Outlines are traced, not labelled: OpenCV's components with
+statistics cost 28 us for a window of 64 px where tracing takes 5 (measured).
 """
 
 from dataclasses import dataclass
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 
 from apex_edge.perception.colour import ColourTable
+from apex_edge.perception.lookup import words
 from apex_edge.perception.settings import PerceptionConfig
 from apex_edge.types import Array
 
@@ -21,13 +23,16 @@ _FRAGMENT_SHARE = 0.3  # a piece this small beside a larger one is part of it
 _FRAGMENT_GAP_PX = 3
 _INLAY_SHARE = 0.1
 _SEARCH_PAD = 2  # coarse cells around a coarse box
+_RIM = 2  # pixels around a region that may belong to it in part
 
 
 @dataclass
 class Blob:
     """One region: ``label`` of its colour, ``core`` (h, w) uint8 mask without its rim.
 
-    ``origin_px`` is the picture position of ``core[0, 0]``; ``box_px`` x, y, w, h.
+    ``origin_px`` is the picture position of ``core[0, 0]``; ``box_px`` x, y, w, h; ``spread_px2``
+    the second central moments xx, xy, yy; ``contours`` count from ``window_px``. ``is_part`` says
+    that it was cut out of a region that several objects share.
     """
 
     label: int
@@ -38,27 +43,46 @@ class Blob:
     is_clipped: bool
     core: Array
     origin_px: Tuple[int, int]
+    spread_px2: Tuple[float, float, float]
+    contours: Tuple[Array, ...]
+    window_px: Tuple[int, int]
+    is_part: bool = False
+
+    def outline_px(self) -> Array:
+        """Return the border pixels (k, 2) in the picture."""
+        result: Array = np.concatenate(self.contours)[:, 0, :] + np.array(self.window_px)
+        return result
+
+
+class _Piece(NamedTuple):
+    """One traced outline: its points, how many pixels it encloses, its box."""
+
+    contour: Array
+    area: float
+    box: Box
 
 
 def search(bgr: Array, table: ColourTable, config: PerceptionConfig) -> List[Box]:
     """Return windows that hold every region of any object colour in the whole picture."""
     height, width = bgr.shape[:2]
     stride = max(1, -(-width // config.search_width_px))
-    coarse = bgr if stride == 1 else np.ascontiguousarray(bgr[::stride, ::stride])
-    mask = (table.classify(coarse) > 0).view(np.uint8)
-    mask = cv2.medianBlur(mask, 3)
-    _, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    coarse = bgr
+    if stride > 1:
+        size = (-(-width // stride), -(-height // stride))
+        # every stride-th pixel: mixing pixels here would mix colours
+        coarse = cv2.resize(bgr, size, interpolation=cv2.INTER_NEAREST)
+    found = cv2.min(table.classify(coarse), 1)
     least = 0.5 * config.min_area_px2 / stride**2
-    found = stats[1:][stats[1:, cv2.CC_STAT_AREA] >= least]
     pad = _SEARCH_PAD
     boxes = [
         (
-            max(0, (int(x) - pad) * stride),
-            max(0, (int(y) - pad) * stride),
-            min(width, (int(x + w) + pad) * stride),
-            min(height, (int(y + h) + pad) * stride),
+            max(0, (x0 - pad) * stride),
+            max(0, (y0 - pad) * stride),
+            min(width, (x1 + pad) * stride),
+            min(height, (y1 + pad) * stride),
         )
-        for x, y, w, h, _ in found
+        for _, area, (x0, y0, x1, y1) in _trace(found)
+        if area >= least
     ]
     return union(boxes)
 
@@ -87,10 +111,34 @@ def find(
     blobs: List[Blob] = []
     for box in windows:
         x0, y0, x1, y1 = box
-        labels = table.classify(bgr[y0:y1, x0:x1])
-        counts = np.bincount(labels.ravel(), minlength=len(table.names) + 1)
-        for label in np.flatnonzero(counts[1:] >= config.min_area_px2) + 1:
-            blobs.extend(_regions(labels == label, int(label), box, shape, config))
+        word = words(bgr[y0:y1, x0:x1])
+        labels = table.labels(word)
+        for label in _present(labels, len(table.names), config.min_area_px2):
+            view = _View(label, box, shape, word, table)
+            blobs.extend(_regions(cv2.compare(labels, label, cv2.CMP_EQ), view, config))
+    return _without_dirt(blobs, shape, config)
+
+
+def _present(labels: Array, n_names: int, least: float) -> List[int]:
+    """Return the labels, 1 .. n_names, that at least so many pixels have."""
+    counts = cv2.calcHist([labels], [0], None, [n_names + 1], [0, n_names + 1]).ravel().tolist()
+    return [label for label in range(1, n_names + 1) if counts[label] >= least]
+
+
+class _View(NamedTuple):
+    """Where a colour is looked for: label, window, size of the picture, words (h, w), table."""
+
+    label: int
+    window: Box
+    shape: Tuple[int, int]
+    word: Array
+    table: ColourTable
+
+
+def _without_dirt(
+    blobs: List[Blob], shape: Tuple[int, int], config: PerceptionConfig
+) -> List[Blob]:
+    """Drop what is too small beside the largest of its colour, too large, or inside another."""
     largest: Dict[int, float] = {}
     for blob in blobs:
         largest[blob.label] = max(largest.get(blob.label, 0.0), blob.area_px2)
@@ -104,79 +152,90 @@ def find(
     return sorted(kept, key=lambda blob: (blob.label, -blob.area_px2, blob.box_px))
 
 
-def _regions(
-    found: Array, label: int, window: Box, shape: Tuple[int, int], config: PerceptionConfig
-) -> List[Blob]:
-    mask = cv2.medianBlur(found.astype(np.uint8), 3)
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    if count < 2:
-        return []
+def _regions(found: Array, view: _View, config: PerceptionConfig) -> List[Blob]:
+    solid = cv2.medianBlur(found, 3)
     blobs = []
-    for group in _groups(stats, config.min_area_px2):
-        x0, y0, x1, y1 = _extent(stats[group])
-        piece = parts[y0:y1, x0:x1]
-        body = (piece == group[0]) if len(group) == 1 else np.isin(piece, group)
-        blob = _measure(body.astype(np.uint8), label, (x0, y0), window, shape)
+    for group in _groups(_trace(solid), config.min_area_px2):
+        blob = _measure(solid, group, view)
         if blob is not None and blob.area_px2 >= config.min_area_px2:
             blobs.append(blob)
     return blobs
 
 
-def _groups(stats: Array, min_area: float) -> List[List[int]]:
-    """Group component numbers into objects: a small piece joins the larger one beside it."""
-    order = sorted(range(1, len(stats)), key=lambda i: (-int(stats[i, cv2.CC_STAT_AREA]), i))
-    groups: List[List[int]] = []
-    for index in order:
-        area, box = float(stats[index, cv2.CC_STAT_AREA]), _extent(stats[[index]])
+def _trace(mask: Array) -> List[_Piece]:
+    """Return the outer outlines of a mask, largest first."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    pieces = []
+    for contour in contours:
+        x, y, w, h = cv2.boundingRect(contour)
+        # Pick's theorem: pixels inside and on a lattice polygon
+        area = cv2.contourArea(contour) + 0.5 * len(contour) + 1.0
+        pieces.append(_Piece(contour, area, (x, y, x + w, y + h)))
+    return sorted(pieces, key=lambda piece: (-piece.area, piece.box))
+
+
+def _groups(pieces: Sequence[_Piece], min_area: float) -> List[List[_Piece]]:
+    """Group pieces, largest first, into objects: a small one joins the larger one beside it."""
+    groups: List[List[_Piece]] = []
+    for piece in pieces:
         for group in groups:
-            whole = stats[group[0]]
-            is_piece = area <= _FRAGMENT_SHARE * float(whole[cv2.CC_STAT_AREA])
-            if is_piece and _overlap(box, _extent(stats[group[:1]]), _FRAGMENT_GAP_PX):
-                group.append(index)
+            whole = group[0]
+            is_small = piece.area <= _FRAGMENT_SHARE * whole.area
+            if is_small and _overlap(piece.box, whole.box, _FRAGMENT_GAP_PX):
+                group.append(piece)
                 break
         else:
-            if area < min_area:
+            if piece.area < min_area:
                 # whatever follows is smaller still and can only be a piece of what stands
                 continue
-            groups.append([index])
+            groups.append([piece])
     return groups
 
 
-def _extent(rows: Array) -> Box:
-    low = rows[:, :2].min(axis=0)
-    high = (rows[:, :2] + rows[:, 2:4]).max(axis=0)
-    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+def _measure(solid: Array, group: Sequence[_Piece], view: _View) -> Optional[Blob]:
+    """Return the blob of some pieces, or None when it is only a fringe of mixed colours.
 
-
-def _measure(
-    body: Array, label: int, offset: Tuple[int, int], window: Box, shape: Tuple[int, int]
-) -> Optional[Blob]:
-    """Return the blob of a mask, or None when it is only a fringe of mixed colours."""
-    padded = cv2.copyMakeBorder(body, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    contours, _ = cv2.findContours(padded, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    core = cv2.erode(padded, _KERNEL)
-    n_body = int(cv2.countNonZero(padded))
-    if cv2.countNonZero(core) < _FRINGE_SHARE * n_body:
+    The centre is weighted: what lies inside counts whole whatever its shade, the pixels of the rim
+    by how much of them is of the colour (0.02 px instead of 0.07 on drawn balls, measured).
+    """
+    height, width = solid.shape
+    box = group[0].box
+    for piece in group[1:]:
+        box = _hull(box, piece.box)
+    x0, y0 = max(0, box[0] - _RIM), max(0, box[1] - _RIM)
+    x1, y1 = min(width, box[2] + _RIM), min(height, box[3] + _RIM)
+    filled = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    contours = [piece.contour for piece in group]
+    cv2.drawContours(filled, contours, -1, 255, cv2.FILLED, offset=(-x0, -y0))
+    body = cv2.bitwise_and(filled, solid[y0:y1, x0:x1])
+    core = _erode(body)
+    if cv2.countNonZero(core) < _FRINGE_SHARE * cv2.countNonZero(body):
         return None
-    filled = padded.copy()
-    cv2.drawContours(filled, contours, -1, 1, cv2.FILLED)
-    moments = cv2.moments(filled, binaryImage=True)
-    x0, y0 = window[0] + offset[0] - 1, window[1] + offset[1] - 1
-    height, width = body.shape
-    box = (x0 + 1, y0 + 1, width, height)
-    right, bottom = box[0] + width, box[1] + height
-    at_edge = (box[0] <= window[0], box[1] <= window[1], right >= window[2], bottom >= window[3])
-    at_border = (box[0] <= 0, box[1] <= 0, right >= shape[1], bottom >= shape[0])
+    coverage = view.table.coverage(view.word[y0:y1, x0:x1], view.label)
+    weight = cv2.bitwise_and(cv2.dilate(filled, _KERNEL), coverage)
+    moments = cv2.moments(cv2.max(weight, _erode(filled)))
+    mass = max(moments["m00"], 1.0)
+    left, top, right, bottom = view.window
+    at_edge = (box[0] <= 0, box[1] <= 0, box[2] >= width, box[3] >= height)
+    at_border = (left <= 0, top <= 0, right >= view.shape[1], bottom >= view.shape[0])
     return Blob(
-        label=label,
-        centre_px=(x0 + moments["m10"] / moments["m00"], y0 + moments["m01"] / moments["m00"]),
-        area_px2=float(moments["m00"]),
-        box_px=box,
-        touches_border=any(at_border),
+        label=view.label,
+        centre_px=(left + x0 + moments["m10"] / mass, top + y0 + moments["m01"] / mass),
+        area_px2=mass / 255.0,
+        box_px=(left + box[0], top + box[1], box[2] - box[0], box[3] - box[1]),
+        touches_border=any(e and b for e, b in zip(at_edge, at_border)),
         is_clipped=any(e and not b for e, b in zip(at_edge, at_border)),
         core=core,
-        origin_px=(x0, y0),
+        origin_px=(left + x0, top + y0),
+        spread_px2=(moments["mu20"] / mass, moments["mu11"] / mass, moments["mu02"] / mass),
+        contours=tuple(contours),
+        window_px=(left, top),
     )
+
+
+def _erode(mask: Array) -> Array:
+    """Take one pixel off a mask's rim; what lies beyond its array counts as outside."""
+    return cv2.erode(mask, _KERNEL, borderType=cv2.BORDER_CONSTANT, borderValue=0)
 
 
 def _is_inlay(blob: Blob, other: Blob) -> bool:

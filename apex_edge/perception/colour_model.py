@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Sequence, Tuple
 
-import cv2
 import numpy as np
 
 from apex_edge.errors import ColourError
+from apex_edge.perception.lookup import N_WORDS
 from apex_edge.types import Array
 
-N_WORDS = 65536
 GATE_999 = 16.27  # chi-square, 3 degrees of freedom, 99.9 %
 NOISE_COUNTS = 5.0  # per channel: sensor noise and the 565 word's own steps (8 / sqrt(12))
 LUMA_SD = 0.45  # of log brightness: a factor of 0.5 to 2 costs little
@@ -124,13 +123,6 @@ def distance2(model: ColourModel, points: Array) -> Tuple[Array, Array]:
     return dist2, density
 
 
-def words(bgr: Array) -> Array:
-    """Return the BGR565 word (h, w) uint16 of each pixel of a picture (h, w, 3) uint8."""
-    packed = cv2.cvtColor(bgr, cv2.COLOR_BGR2BGR565)
-    result: Array = packed.view(np.uint16)[..., 0]
-    return result
-
-
 @lru_cache(maxsize=1)
 def word_features() -> Array:
     """Return ``features`` (65536, 3) at the middle of each word's cell."""
@@ -153,3 +145,15 @@ def label_table(models: Sequence[ColourModel]) -> Array:
         table[wins] = label
         best[wins] = density[wins]
     return table
+
+
+def coverage_table(model: ColourModel) -> Array:
+    """Return how much of a pixel of each BGR565 word is of the colour, uint8 (65536,), 255 = all.
+
+    A pixel on an outline mixes object and surroundings; its saturation along the object's hue
+    tells the share, where the surroundings are not of that hue.
+    """
+    chroma = np.asarray(model.chroma)
+    share = word_features()[:, :2] @ chroma / float(chroma @ chroma)
+    result: Array = np.rint(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8)
+    return result

@@ -13,13 +13,14 @@ mean of the last five positions (``smooth``) is APEX's "five-frame sliding windo
 import math
 from collections import deque
 from statistics import median
-from typing import Deque, List, NamedTuple, Optional, Tuple
+from typing import Deque, List, Optional, Tuple
 
 import numpy as np
 
+from apex_edge.perception.estimator import PAPER_WINDOW, Estimator, Motion, MotionRules
+from apex_edge.perception.fitting import LINE, PARABOLA, Fit, Sample, at, points, solve
 from apex_edge.types import Array
 
-PAPER_WINDOW = 5
 _GATE_SHARE = {1: 1.0, 2: 1.21, 3: 1.38}  # same probability as one axis at 4 sigma
 _CURVED = {
     1: 12.0,
@@ -29,59 +30,13 @@ _CURVED = {
 _MISFIT_SIGMA = 4.0
 _LEAN_SHARE = 0.4  # the newest samples pull the fit, so their residuals are small
 _ONSET = 0.1  # of the stated noise per frame: motion that has just begun goes unnoticed
-_PRIOR_DOF = 4.0  # weight of the stated noise against the residuals
 _MIN_NOISE, _N_NOISE = 8, 25
 _MIN_NOISE_RATIO, _MAX_NOISE_RATIO = 0.3, 4.0
 _NOISE_MARGIN = 1.4
 _SCALE_SD = 0.02  # of the speed: calibration, and a bias that changes along the way
 
 
-class Sample(NamedTuple):
-    """One sighting: capture time, position (d,) and the sd of its noise (one axis)."""
-
-    t_s: float
-    x: Array
-    sd: float
-
-
-class Fit(NamedTuple):
-    """Polynomial ``beta (p, d)`` about ``t_s`` with ``unit_cov (p, p)`` and ``noise_var (d,)``.
-
-    ``misfit`` is the sum of squared residuals over the expected variance, ``lean`` the same of
-    the sum of the newest three: large when the motion has just begun to leave the fit.
-    """
-
-    t_s: float
-    beta: Array
-    unit_cov: Array
-    noise_var: Array
-    misfit: float
-    dof: int
-    lean: float
-
-
-class Motion(NamedTuple):
-    """State at one time: ``x``, ``v``, ``a (d,)``, covariance (2d, 2d) of x and v."""
-
-    x: Array
-    v: Array
-    a: Array
-    cov: Array
-
-
-class MotionRules(NamedTuple):
-    """What the estimator takes for granted, in the unit of the positions (m or px)."""
-
-    speed_sd: float
-    acc_sd: float
-    stamp_sd_s: float
-    window: int = 20
-    min_samples: int = 3
-    gate_sigma: float = 4.0
-    max_gap_s: float = 0.25
-
-
-class MotionEstimator:
+class MotionEstimator(Estimator):
     """Follow one object; feed sightings in time order with ``add``, ask with ``predict``."""
 
     def __init__(self, rules: MotionRules) -> None:
@@ -160,21 +115,14 @@ class MotionEstimator:
     def _state_at(self, t_s: float, fit: Fit) -> Motion:
         # Plain floats where arrays are tiny: this runs a few times per object and frame, and a
         # numpy call costs more than the sums in it.
-        rules, dt = self._rules, t_s - fit.t_s
-        order, dim = fit.beta.shape
-        row_x, row_v = (1.0, dt, dt * dt)[:order], (0.0, 1.0, 2.0 * dt)[:order]
-        velocity = np.array(row_v) @ fit.beta
-        unit = fit.unit_cov.tolist()
+        rules, dim = self._rules, fit.beta.shape[1]
+        position, velocity, (unit_x, unit_xv, unit_v) = at(fit, t_s - fit.t_s)
         unseen = max(0.0, t_s - self.last_t_s)
         off_x, off_v = self._unseen_curve(fit, velocity)
         drift_x, drift_v = 0.5 * rules.acc_sd * unseen * unseen, rules.acc_sd * unseen
         var_x = drift_x**2 + off_x**2 + self._doubt()
         var_xv, var_v = drift_x * drift_v + off_x * off_v, drift_v**2 + off_v**2
         var_v += _SCALE_SD**2 * float(velocity @ velocity) + self._onset_sd() ** 2
-        unit_x, unit_xv, unit_v = (
-            sum(p * q * unit[i][j] for i, p in enumerate(left) for j, q in enumerate(right))
-            for left, right in ((row_x, row_x), (row_x, row_v), (row_v, row_v))
-        )
         cov = np.zeros((2 * dim, 2 * dim))
         is_young = len(self._window) < rules.min_samples
         for axis, noise in enumerate(fit.noise_var.tolist()):
@@ -187,8 +135,8 @@ class MotionEstimator:
                 cov[other, other] = unit_v * noise + var_v
         if is_young:
             velocity = np.zeros(dim)
-        acc = 2.0 * fit.beta[2] if order == 3 else np.zeros(dim)
-        return Motion(np.array(row_x) @ fit.beta, velocity, acc, cov)
+        acc = 2.0 * fit.beta[2] if fit.order == PARABOLA else np.zeros(dim)
+        return Motion(position, velocity, acc, cov)
 
     def _onset_sd(self) -> float:
         """Return the sd of the speed that motion begun within the last frames leaves."""
@@ -198,12 +146,11 @@ class MotionEstimator:
 
     def _doubt(self) -> float:
         """Return the variance that sightings outside the gate put on the position."""
-        if not self._waiting or self._fit is None:
+        if len(self._waiting) < 2 or self._fit is None:
             return 0.0
         newest = self._waiting[-1]
-        row = np.array([1.0, newest.t_s - self._fit.t_s, (newest.t_s - self._fit.t_s) ** 2])
-        gap = newest.x - row[: self._fit.beta.shape[0]] @ self._fit.beta
-        return float(gap @ gap) / len(gap) if len(self._waiting) >= 2 else 0.0
+        gap = newest.x - at(self._fit, newest.t_s - self._fit.t_s)[0]
+        return float(gap @ gap) / len(gap)
 
     def _unseen_curve(self, fit: Fit, velocity: Array) -> Tuple[float, float]:
         """Return the sd of x and of v that a curvature too weak to be noticed leaves.
@@ -214,20 +161,21 @@ class MotionEstimator:
         n, dim = len(self._window), len(velocity)
         span = self._window[-1].t_s - self._window[0].t_s
         noise = float(fit.noise_var.sum()) / dim
-        if fit.beta.shape[0] != 2 or n < 4 or span <= 0.0:
+        if fit.order != LINE or n < 4 or span <= 0.0:
             return 0.0, 0.0
         if float(velocity @ velocity) <= 9.0 * dim * noise * float(fit.unit_cov[1, 1]):
             return 0.0, 0.0
         acc = min(self._rules.acc_sd, 26.8 * math.sqrt(noise / n) / span**2)
         return acc * span * span / 12.0, acc * span / 2.0
 
-    def _noise_sd(self, sample: Sample) -> float:
-        """Return the noise of a sighting: what the track has shown, near what is stated."""
+    def _noise_sd(self, stated: Array) -> Array:
+        """Return the noise (n,) of sightings: what the track has shown, near what is stated."""
         if self._shown_sd <= 0.0:
-            return sample.sd
+            return stated
         # The shown sd is itself off by a quarter: believe less noise only where it is clearly less.
-        shown = max(self._shown_sd, min(sample.sd, _NOISE_MARGIN * self._shown_sd))
-        return min(max(_MIN_NOISE_RATIO * sample.sd, shown), _MAX_NOISE_RATIO * sample.sd)
+        shown = np.maximum(self._shown_sd, np.minimum(stated, _NOISE_MARGIN * self._shown_sd))
+        result: Array = np.clip(shown, _MIN_NOISE_RATIO * stated, _MAX_NOISE_RATIO * stated)
+        return result
 
     def _note_noise(self, sample: Sample) -> None:
         """Keep how far the newest sighting lies off the parabola through the three before it."""
@@ -251,20 +199,27 @@ class MotionEstimator:
     def _is_inside(self, sample: Sample) -> bool:
         state = self.predict(sample.t_s)
         dim = len(sample.x)
-        variance = np.diag(state.cov)[:dim] + (self._noise_sd(sample) ** 2 - self._doubt())
+        variance = np.diag(state.cov)[:dim] + (
+            float(self._noise_sd(np.array(sample.sd))) ** 2 - self._doubt()
+        )
         variance = variance + float(state.v @ state.v) * self._rules.stamp_sd_s**2
         miss = sample.x - state.x
         limit = self._rules.gate_sigma**2 * _GATE_SHARE.get(dim, 1.5)
         return bool(np.sum(miss * miss / variance) <= limit)
 
     def _try_restart(self) -> None:
-        newest = list(self._recent)
-        if len(self._waiting) >= 3 and self._agree(newest[-3:], 2):
-            self._restart(newest[-3:])
-        elif len(self._waiting) >= 2 and len(newest) >= 4 and self._agree(newest[-4:], 3):
-            self._restart(newest[-4:])
-        elif len(self._waiting) >= PAPER_WINDOW:
-            self._restart(newest[-3:])
+        """Start anew from the waiting sightings once they agree among themselves.
+
+        Sightings from before the change never count: two before and two after a reversal between
+        two frames lie on a perfect parabola, twice too fast.
+        """
+        waiting = self._waiting
+        if len(waiting) >= 3 and self._agree(waiting[-3:], LINE):
+            self._restart(waiting[-3:])
+        elif len(waiting) >= 4 and self._agree(waiting[-4:], PARABOLA):
+            self._restart(waiting[-4:])
+        elif len(waiting) >= PAPER_WINDOW:
+            self._restart(waiting[-3:])
 
     def _restart(self, samples: List[Sample]) -> None:
         self._window, self._waiting = list(samples), []
@@ -276,57 +231,47 @@ class MotionEstimator:
         return fit.misfit <= self._rules.gate_sigma**2 * _GATE_SHARE.get(dim, 1.5) * 0.6
 
     def _refit(self) -> None:
-        """Fit the window; while it does not hold together, keep only its newer half."""
+        """Fit the window; while it does not hold together, drop what spoils it.
+
+        That is one sample, where the rest agrees without it: the gate of a young track is wide
+        enough for an outlier. Else it is the older half.
+        """
         while True:
             fit = self._best_fit(self._window)
-            dim = fit.beta.shape[1]
-            limit = 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / max(1, fit.dof))
-            holds = fit.misfit <= limit * fit.dof and fit.lean <= _LEAN_SHARE * _CURVED.get(
-                dim, 16.0
-            )
-            if len(self._window) <= 4 or holds:
-                self._fit = fit
-                return
+            if self._holds(fit) or len(self._window) <= 3:
+                break
+            if self._is_lone_outlier(fit):
+                self._window = [s for i, s in enumerate(self._window) if i != fit.worst]
+                continue
+            if len(self._window) <= 4:
+                break
             self._window = self._window[-max(4, len(self._window) // 2) :]
             self._n_since_manoeuvre = min(self._n_since_manoeuvre, 1)
+        self._fit = fit
+
+    def _holds(self, fit: Fit) -> bool:
+        limit = 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / max(1, fit.dof))
+        dim = fit.beta.shape[1]
+        return fit.misfit <= limit * fit.dof and fit.lean <= _LEAN_SHARE * _CURVED.get(dim, 16.0)
+
+    def _is_lone_outlier(self, fit: Fit) -> bool:
+        """Say whether all samples but the worst, an old one, agree."""
+        dof = fit.dof - fit.beta.shape[1]
+        is_newest = fit.worst == len(self._window) - 1
+        if dof <= 0 or is_newest or fit.gain < self._rules.gate_sigma**2:
+            return False
+        limit = 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / dof)
+        return fit.misfit - fit.gain <= limit * dof
 
     def _best_fit(self, samples: List[Sample]) -> Fit:
-        line = self._solve(samples, 2)
+        line = self._solve(samples, LINE)
         needed = _CURVED.get(line.beta.shape[1], 16.0)
         if len(samples) < 4 or line.misfit <= needed:
             return line  # no curve can gain more than the whole misfit
-        curve = self._solve(samples, 3)
+        curve = self._solve(samples, PARABOLA)
         is_curved = line.misfit - curve.misfit > needed
         return curve if is_curved else line
 
     def _solve(self, samples: List[Sample], order: int) -> Fit:
-        """Fit a polynomial by weighted least squares about the newest sample.
-
-        The speed has a weak prior, so that one or two sightings already give an honest state.
-        """
-        t0 = samples[-1].t_s
-        t = np.array([s.t_s - t0 for s in samples])
-        x = np.array([s.x for s in samples])
-        sd = np.array([self._noise_sd(s) for s in samples])
-        speed = self._speed_guess(t, x) * self._rules.stamp_sd_s
-        variance = sd * sd + speed * speed
-        scale = float(variance.sum()) / len(samples)
-        weight = scale / variance
-        rows = np.vander(t, order, increasing=True)
-        normal = rows.T @ (rows * weight[:, None])
-        normal[1, 1] += scale / self._rules.speed_sd**2
-        unit_cov = np.linalg.inv(normal)
-        beta = unit_cov @ (rows.T @ (x * weight[:, None]))
-        residual = x - rows @ beta
-        squares = (residual * residual * weight[:, None]).sum(axis=0)
-        dof = max(0, len(samples) - order)
-        noise_var = (_PRIOR_DOF * scale + squares) / (_PRIOR_DOF + dof)
-        misfit = float(squares.sum()) / scale
-        newest = residual[-3:].sum(axis=0)
-        lean = float(newest @ newest) / (3.0 * scale)
-        return Fit(t0, beta, unit_cov, noise_var, misfit, dof * x.shape[1], lean)
-
-    @staticmethod
-    def _speed_guess(t: Array, x: Array) -> float:
-        span = float(t[-1] - t[0])
-        return float(np.linalg.norm(x[-1] - x[0])) / span if span > 0.0 else 0.0
+        sd = self._noise_sd(np.array([sample.sd for sample in samples]))
+        return solve(points(samples, sd, self._rules.stamp_sd_s), order, self._rules.speed_sd)

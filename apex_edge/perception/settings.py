@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from apex_edge.config import setting
 
+ADAPTIVE, PAPER = "adaptive", "paper"
+
 
 @dataclass(frozen=True)
 class PerceptionConfig:
@@ -14,7 +16,7 @@ class PerceptionConfig:
     min_relative_area: float = setting(
         0.05, "drop a blob smaller than this share of the largest one of its colour", 0.0, 1.0
     )
-    search_width_px: int = setting(640, "width at which the whole picture is searched", 80, 4096)
+    search_width_px: int = setting(320, "width at which the whole picture is searched", 80, 4096)
     search_every: int = setting(3, "search the whole picture every k-th frame", 1, 1000)
     window_margin_px: int = setting(10, "margin around a predicted box, px", 2, 500)
     noise_px: float = setting(0.5, "centroid noise, px", 0.01, 20.0)
@@ -24,6 +26,14 @@ class PerceptionConfig:
     min_depth_share: float = setting(0.3, "valid share of a blob's depth to trust it", 0.0, 1.0)
     max_radius_m: float = setting(0.12, "largest object radius believed, m", 0.005, 5.0)
     max_miss_s: float = setting(0.25, "a track unseen for longer is lost, s", 0.01, 10.0)
+    max_hidden_s: float = setting(
+        1.0, "the same for one expected inside a blob that it shares, s", 0.01, 10.0
+    )
+    motion: str = setting(
+        ADAPTIVE,
+        "adaptive: gated least squares; paper: means of five frames, two frames late",
+        choices=(ADAPTIVE, PAPER),
+    )
     window: int = setting(20, "most samples in a motion fit", 4, 200)
     min_samples: int = setting(3, "samples before a speed is given", 2, 20)
     gate_sigma: float = setting(4.0, "innovation gate, predicted standard deviations", 1.0, 20.0)

@@ -10,6 +10,7 @@ from apex_edge.perception import blobs, depth
 from apex_edge.perception.blobs import Blob, Box
 from apex_edge.perception.colour import ColourTable
 from apex_edge.perception.settings import PerceptionConfig
+from apex_edge.perception.sharing import Outlook, part
 from apex_edge.perception.tracking import Tracker
 from apex_edge.types import Detections, Frame, Tracks
 
@@ -69,20 +70,27 @@ class Perception:
     def _look(self, frame: Frame) -> Detections:
         """Look into the predicted windows; search the whole picture when that is not enough."""
         bgr, table, config = frame.colour_bgr, self._colours, self._config
-        windows = self._tracker.windows(frame.t_s, frame.camera, bgr.shape)
+        outlook = self._tracker.outlook(frame.t_s, frame.camera, bgr.shape)
+        windows = outlook.box
         area = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in windows)
         is_small = 0 < area < _MAX_WINDOW_SHARE * bgr.shape[0] * bgr.shape[1]
         if self._n_until_search > 0 and is_small:
             found = blobs.find(bgr, table, blobs.union(windows), config)
             if not any(blob.is_clipped for blob in found):
-                detections = _detections(frame, found, table, config)
+                detections = self._tell_apart(frame, found, outlook)
                 if self._tracker.are_all_in(detections, windows):
                     self._n_until_search -= 1
                     return detections
         self._n_until_search = config.search_every - 1
         boxes: List[Box] = blobs.search(bgr, table, config)
         found = blobs.find(bgr, table, blobs.union(boxes), config)
-        return _detections(frame, found, table, config)
+        return self._tell_apart(frame, found, outlook)
+
+    def _tell_apart(self, frame: Frame, found: List[Blob], outlook: Outlook) -> Detections:
+        """Cut blobs that several tracks share, and place what can be told."""
+        told, hidden = part(found, outlook, self._colours.names)
+        self._tracker.hide(hidden)
+        return _detections(frame, told, self._colours, self._config)
 
 
 def _check(frame: Frame) -> None:
@@ -115,6 +123,8 @@ def _detections(
         area_px2=np.array([blob.area_px2 for blob in found], dtype=np.float64),
         box_px=np.array([blob.box_px for blob in found], dtype=np.float64).reshape(-1, 4),
         touches_border=np.array([blob.touches_border for blob in found], dtype=bool),
+        spread_px2=np.array([blob.spread_px2 for blob in found], dtype=np.float64).reshape(-1, 3),
+        is_part=np.array([blob.is_part for blob in found], dtype=bool),
         pos_m=np.array([p.pos_m for p in placed], dtype=np.float64).reshape(-1, 3),
         pos_sd_m=np.array([p.sd_m for p in placed], dtype=np.float64),
         radius_m=np.array([p.radius_m for p in placed], dtype=np.float64),

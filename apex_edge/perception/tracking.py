@@ -7,42 +7,26 @@ consumer that forgets to look at the status cannot act on something stale.
 With a camera calibration tracks live in metres on the table; without one in pixels.
 """
 
-from collections import deque
-from dataclasses import dataclass
-from statistics import median
-from typing import Deque, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
 from apex_edge import geometry
 from apex_edge.perception.blobs import Box
-from apex_edge.perception.motion import Motion, MotionEstimator, MotionRules
-from apex_edge.perception.settings import PerceptionConfig
+from apex_edge.perception.estimator import Estimator, Motion, MotionRules
+from apex_edge.perception.matching import match
+from apex_edge.perception.motion import MotionEstimator
+from apex_edge.perception.paper_motion import PaperMotion
+from apex_edge.perception.settings import PAPER, PerceptionConfig
+from apex_edge.perception.sharing import STEP_S, Outlook
+from apex_edge.perception.track import Sighting, Track
 from apex_edge.types import Array, CameraModel, Detections, Tracks, TrackStatus
 
-_SIZE_MEMORY = 15
 # Two whole objects of one size are at least two radii apart, and the middle of a piece is less
 # well known than that of a whole object.
 _FRAGMENT_RADII = 2.5
 _GATE_RADII = 1.0  # two sightings within one object radius may always be the same object
-
-
-@dataclass
-class _Track:
-    track_id: int
-    name: str
-    motion: MotionEstimator
-    sizes: Deque[float]
-    last_seen_s: float
-    status: TrackStatus
-    centre_px: Array
-    box_px: Array
-    area_px2: float
-    pos_sd: float
-
-    @property
-    def size(self) -> float:
-        return float(median(self.sizes))
+_SIZES = (0.4, 2.2)  # radius of a sighting over that of its track
 
 
 class Tracker:
@@ -51,7 +35,7 @@ class Tracker:
     def __init__(self, config: PerceptionConfig) -> None:
         """Start with no track."""
         self._config = config
-        self._tracks: List[_Track] = []
+        self._tracks: List[Track] = []
         self._next_id = 1
         self._dim = 0
 
@@ -68,40 +52,50 @@ class Tracker:
         for track in self._tracks:
             track.status = TrackStatus.LOST
 
-    def windows(
-        self, t_s: float, camera: Optional[CameraModel], shape: Tuple[int, ...]
-    ) -> List[Box]:
-        """Return where to look for each live track at ``t_s``, clipped to the picture.
+    def outlook(self, t_s: float, camera: Optional[CameraModel], shape: Tuple[int, ...]) -> Outlook:
+        """Return where each live track is expected at ``t_s`` and which window to look into.
 
         The box it had, moved along, plus three standard deviations and room for a bounce.
         """
-        boxes = []
+        self._begin(camera)
+        size = np.array([shape[1], shape[0]])
+        middles, steps, boxes = [], [], []
         for track in self._tracks:
-            if track.status == TrackStatus.LOST:
-                continue
             state = track.motion.predict(t_s)
             middle, scale = self._in_picture(state, camera)
-            if not np.all(np.isfinite(middle)):
-                continue
             dim = len(state.x)
             sd = scale * float(np.sqrt(state.cov.diagonal()[:dim].max()))
-            swing = 2.0 * scale * float(np.linalg.norm(state.v)) * (t_s - track.last_seen_s)
+            swing = 2.0 * scale * float(np.linalg.norm(state.v)) * (t_s - track.last.t_s)
             half = (
-                0.5 * track.box_px[2:]
+                0.5 * track.last.box_px[2:]
                 + self._config.window_margin_px
                 + min(3.0 * sd + swing, 0.25 * shape[1])
             )
-            low = np.floor(np.clip(middle - half, 0, [shape[1], shape[0]])).astype(int)
-            high = np.ceil(np.clip(middle + half + 1, 0, [shape[1], shape[0]])).astype(int)
+            is_ahead = bool(np.all(np.isfinite(middle)))
+            low = np.floor(np.clip(middle - half, 0, size)) if is_ahead else np.zeros(2)
+            high = np.ceil(np.clip(middle + half + 1, 0, size)) if is_ahead else np.zeros(2)
             boxes.append((int(low[0]), int(low[1]), int(high[0]), int(high[1])))
-        return boxes
+            middles.append(middle)
+            moved = state._replace(x=state.x + STEP_S * state.v)
+            steps.append(self._in_picture(moved, camera)[0] - middle)
+        return Outlook(
+            name=tuple(track.name for track in self._tracks),
+            centre_px=np.array(middles).reshape(-1, 2),
+            step_px=np.array(steps).reshape(-1, 2),
+            radius_px=np.array([track.radius_px for track in self._tracks]),
+            box=tuple(boxes),
+        )
+
+    def hide(self, rows: Set[int]) -> None:
+        """Note which tracks (rows of the outlook) are hidden in a blob they share."""
+        for row, track in enumerate(self._tracks):
+            track.is_hidden = row in rows
 
     def are_all_in(self, detections: Detections, windows: Sequence[Box]) -> bool:
         """Say whether each live track's window holds a sighting of its colour."""
-        live = [track for track in self._tracks if track.status != TrackStatus.LOST]
-        if len(live) != len(windows):
+        if len(self._tracks) != len(windows):
             return False
-        for track, (x0, y0, x1, y1) in zip(live, windows):
+        for track, (x0, y0, x1, y1) in zip(self._tracks, windows):
             if not any(
                 name == track.name and x0 <= x < x1 and y0 <= y < y1
                 for name, (x, y) in zip(detections.name, detections.centre_px)
@@ -112,30 +106,26 @@ class Tracker:
     def update(self, detections: Detections, camera: Optional[CameraModel]) -> Tracks:
         """Take the sightings of one frame and return every track at its capture time."""
         self._begin(camera)
-        where = detections.pos_m if camera is not None else detections.centre_px
-        found = self._associate(detections, where)
+        sightings = self._sightings(detections, camera)
+        found = self._associate(detections, sightings)
         for index, track in enumerate(self._tracks):
             if index in found:
-                self._see(track, detections, where, found[index], camera)
-            elif detections.t_s - track.last_seen_s > self._config.max_miss_s:
-                track.status = TrackStatus.LOST
-            elif track.status != TrackStatus.LOST:
-                track.status = TrackStatus.PREDICTED
+                track.see(sightings[found[index]])
+            else:
+                self._miss(track, detections.t_s)
         taken = set(found.values())
-        for row in range(len(detections.name)):
-            is_free = row not in taken and bool(np.all(np.isfinite(where[row])))
-            if is_free and not self._is_fragment(detections, where, row):
-                self._start(detections, where, row, camera)
+        for row, sighting in enumerate(sightings):
+            is_free = row not in taken and bool(np.all(np.isfinite(sighting.where)))
+            if is_free and not self._is_fragment(detections.name[row], sighting):
+                self._start(detections.name[row], sighting)
         return self._report(detections.seq, detections.t_s, camera)
 
     def coast(self, seq: int, t_s: float, camera: Optional[CameraModel]) -> Tracks:
         """Return every track at ``t_s`` without a new picture: nothing is SEEN in it."""
         self._begin(camera)
         for track in self._tracks:
-            if t_s - track.last_seen_s > self._config.max_miss_s:
-                track.status = TrackStatus.LOST
-            elif track.status == TrackStatus.SEEN and t_s > track.last_seen_s:
-                track.status = TrackStatus.PREDICTED
+            if t_s > track.last.t_s:
+                self._miss(track, t_s)
         return self._report(seq, t_s, camera)
 
     def _begin(self, camera: Optional[CameraModel]) -> None:
@@ -144,91 +134,98 @@ class Tracker:
             self._dim = dim
             self._tracks = []
 
-    def _associate(self, detections: Detections, where: Array) -> Dict[int, int]:
-        """Return track index -> detection row, nearest pairs of one colour first, within gates.
+    def _miss(self, track: Track, t_s: float) -> None:
+        """Carry on a track that this frame does not show, or give it up."""
+        config = self._config
+        patience_s = config.max_hidden_s if track.is_hidden else config.max_miss_s
+        if t_s - track.last.t_s > patience_s:
+            track.status = TrackStatus.LOST
+        elif track.status != TrackStatus.LOST:
+            track.status = TrackStatus.PREDICTED
+
+    def _associate(self, detections: Detections, sightings: Sequence[Sighting]) -> Dict[int, int]:
+        """Return track index -> detection row, colour by colour, within gates.
 
         A track that was out of sight chooses after those that were not: it may be elsewhere.
         """
-        pairs = []
-        for index, track in enumerate(self._tracks):
-            if track.status == TrackStatus.LOST:
-                continue
-            rows = [r for r, name in enumerate(detections.name) if name == track.name]
-            if not rows:
-                continue
-            state = track.motion.predict(detections.t_s)
-            sd = float(np.sqrt(state.cov.diagonal()[: len(state.x)].max()))
-            dt = detections.t_s - track.last_seen_s
-            swing = 2.0 * float(np.linalg.norm(state.v)) * dt
-            gate = 4.0 * (sd + track.pos_sd) + swing + _GATE_RADII * track.size
-            gaps = np.linalg.norm(where[rows] - state.x, axis=1)
-            was_missed = track.status != TrackStatus.SEEN
-            pairs += [
-                (was_missed, float(gap), index, row) for gap, row in zip(gaps, rows) if gap <= gate
-            ]
         found: Dict[int, int] = {}
-        taken = set()
-        for _, _, index, row in sorted(pairs):
-            if index not in found and row not in taken:
-                found[index] = row
-                taken.add(row)
+        alive = [i for i, track in enumerate(self._tracks) if track.status != TrackStatus.LOST]
+        for name in sorted(set(detections.name)):
+            rows = [r for r, other in enumerate(detections.name) if other == name]
+            tracks = [i for i in alive if self._tracks[i].name == name]
+            if not tracks:
+                continue
+            where = np.array([sightings[r].where for r in rows])
+            ahead = [self._tracks[i].motion.predict(detections.t_s) for i in tracks]
+            gates = np.array([self._gate(i, s, detections.t_s) for i, s in zip(tracks, ahead)])
+            gaps = np.linalg.norm(np.array([s.x for s in ahead])[:, None] - where[None], axis=2)
+            sizes = np.array([sightings[r].size for r in rows])
+            usual = np.array([self._tracks[i].size for i in tracks])[:, None]
+            is_whole = ~np.array([sightings[r].touches_border for r in rows])
+            is_odd = ((sizes < _SIZES[0] * usual) & is_whole) | (sizes > _SIZES[1] * usual)
+            # without a position, or of quite another size
+            gaps = np.where(is_odd | ~np.isfinite(gaps), np.inf, gaps)
+            was_missed = [self._tracks[i].status != TrackStatus.SEEN for i in tracks]
+            pairs = match(gaps, gates, np.array(was_missed))
+            found.update({tracks[i]: rows[j] for i, j in pairs.items()})
         return found
 
-    def _is_fragment(self, detections: Detections, where: Array, row: int) -> bool:
+    def _gate(self, index: int, state: Motion, t_s: float) -> float:
+        """Return how far from its predicted place a track may be sighted."""
+        track = self._tracks[index]
+        sd = float(np.sqrt(state.cov.diagonal()[: len(state.x)].max()))
+        swing = 2.0 * float(np.linalg.norm(state.v)) * (t_s - track.last.t_s)
+        return 4.0 * (sd + track.last.pos_sd) + swing + _GATE_RADII * track.size
+
+    def _is_fragment(self, name: str, sighting: Sighting) -> bool:
         """Say whether a sighting lies inside an object that is already followed.
 
         Something in front can cut an object in two; two whole objects cannot be that near.
         """
         for track in self._tracks:
-            if track.name != detections.name[row] or track.status == TrackStatus.LOST:
+            if track.name != name or track.status == TrackStatus.LOST:
                 continue
-            centre = track.motion.predict(detections.t_s).x
-            if float(np.linalg.norm(where[row] - centre)) < _FRAGMENT_RADII * track.size:
+            centre = track.motion.predict(sighting.t_s).x
+            gap = float(np.linalg.norm(sighting.where - centre))
+            if gap < _FRAGMENT_RADII * max(track.size, 0.5 * (track.size + sighting.size)):
                 return True
         return False
 
-    def _start(
-        self, detections: Detections, where: Array, row: int, camera: Optional[CameraModel]
-    ) -> None:
-        track = _Track(
-            track_id=self._next_id,
-            name=detections.name[row],
-            motion=MotionEstimator(self._rules()),
-            sizes=deque(maxlen=_SIZE_MEMORY),
-            last_seen_s=detections.t_s,
-            status=TrackStatus.SEEN,
-            centre_px=detections.centre_px[row],
-            box_px=detections.box_px[row],
-            area_px2=0.0,
-            pos_sd=0.0,
-        )
+    def _start(self, name: str, sighting: Sighting) -> None:
+        rules = self._rules()
+        motion: Estimator = MotionEstimator(rules)
+        if self._config.motion == PAPER:
+            motion = PaperMotion(rules)
+        self._tracks.append(Track(self._next_id, name, motion, sighting, self._config.noise_px))
         self._next_id += 1
-        self._tracks.append(track)
-        self._see(track, detections, where, row, camera)
 
-    def _see(
-        self,
-        track: _Track,
-        detections: Detections,
-        where: Array,
-        row: int,
-        camera: Optional[CameraModel],
-    ) -> None:
-        noise, size = self._config.noise_px, float(np.sqrt(detections.area_px2[row] / np.pi))
-        track.pos_sd = noise
-        if camera is not None:
-            reach = float(np.linalg.norm(where[row] - camera.table_from_cam[:3, 3]))
-            noise *= reach / camera.fx_px
-            size = float(detections.radius_m[row])
-            track.pos_sd = float(detections.pos_sd_m[row])
-        if detections.touches_border[row]:
-            noise *= 4.0  # what is cut off pulls the centre inwards
-        track.motion.add(detections.t_s, where[row], noise)
-        track.sizes.append(size)
-        track.last_seen_s, track.status = detections.t_s, TrackStatus.SEEN
-        track.centre_px = detections.centre_px[row]
-        track.box_px = detections.box_px[row]
-        track.area_px2 = float(detections.area_px2[row])
+    def _sightings(self, detections: Detections, camera: Optional[CameraModel]) -> List[Sighting]:
+        """Return the detections in the unit the tracks live in."""
+        where = detections.pos_m if camera is not None else detections.centre_px
+        result = []
+        for row in range(len(detections.name)):
+            unit, pos_sd = 1.0, self._config.noise_px
+            size = float(np.sqrt(detections.area_px2[row] / np.pi))
+            if camera is not None:
+                reach = float(np.linalg.norm(where[row] - camera.table_from_cam[:3, 3]))
+                unit, pos_sd = reach / camera.fx_px, float(detections.pos_sd_m[row])
+                size = float(detections.radius_m[row])
+            result.append(
+                Sighting(
+                    t_s=detections.t_s,
+                    where=where[row],
+                    unit=unit,
+                    size=size,
+                    pos_sd=pos_sd,
+                    centre_px=detections.centre_px[row],
+                    box_px=detections.box_px[row],
+                    area_px2=float(detections.area_px2[row]),
+                    spread_px2=detections.spread_px2[row],
+                    touches_border=bool(detections.touches_border[row]),
+                    is_part=bool(detections.is_part[row]),
+                )
+            )
+        return result
 
     def _rules(self) -> MotionRules:
         config, is_metric = self._config, self._dim == 3
@@ -261,12 +258,12 @@ class Tracker:
                 continue
             state = track.motion.predict(t_s)
             is_seen = track.status == TrackStatus.SEEN
-            centre[i] = track.centre_px if is_seen else self._in_picture(state, camera)[0]
+            centre[i] = track.last.centre_px if is_seen else self._in_picture(state, camera)[0]
             if camera is None:
                 continue
             pos[i], vel[i], acc[i] = state.x, state.v, state.a
             cov[i] = state.cov
-            cov[i, :3, :3] += np.eye(3) * track.pos_sd**2
+            cov[i, :3, :3] += np.eye(3) * track.last.pos_sd**2
             smooth[i], radius[i] = track.motion.smooth(), track.size
         result = Tracks(
             seq=seq,
@@ -280,10 +277,11 @@ class Tracker:
             radius_m=radius,
             n_samples=np.array([track.motion.n_samples for track in tracks], dtype=np.int64),
             status=np.array([int(track.status) for track in tracks], dtype=np.int64),
-            age_s=np.array([t_s - track.last_seen_s for track in tracks], dtype=np.float64),
+            age_s=np.array([t_s - track.last.t_s for track in tracks], dtype=np.float64),
             centre_px=centre,
-            area_px2=np.array([track.area_px2 for track in tracks], dtype=np.float64),
+            area_px2=np.array([track.last.area_px2 for track in tracks], dtype=np.float64),
             is_manoeuvre=np.array([track.motion.is_manoeuvre for track in tracks], dtype=bool),
+            is_blurred=np.array([track.is_blurred for track in tracks], dtype=bool),
             smooth_m=smooth,
         )
         self._tracks = [track for track in tracks if track.status != TrackStatus.LOST]

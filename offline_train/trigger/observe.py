@@ -183,6 +183,7 @@ def _as_tracks(
         centre_px=np.zeros((n, 2)),
         area_px2=np.zeros(n),
         is_manoeuvre=np.zeros(n, dtype=bool),
+        is_blurred=np.zeros(n, dtype=bool),
         smooth_m=position,
     )
     return tracks, sensing.frame_s[owner]

@@ -49,6 +49,7 @@ def tracks(
         centre_px=np.zeros((n, 2)),
         area_px2=np.full(n, 300.0),
         is_manoeuvre=np.zeros(n, dtype=bool),
+        is_blurred=np.zeros(n, dtype=bool),
         smooth_m=pos,
     )
 

@@ -88,6 +88,7 @@ def tracks(of: Frame, camera: Optional[CameraModel]) -> Tracks:
         centre_px=centre,
         area_px2=np.array([900.0, 1400.0]) * scale * scale,
         is_manoeuvre=np.zeros(2, dtype=bool),
+        is_blurred=np.zeros(2, dtype=bool),
         smooth_m=pos,
     )
 
@@ -103,6 +104,8 @@ def detections(found: Tracks) -> Detections:
         area_px2=found.area_px2,
         box_px=np.column_stack([corner, side, side]),
         touches_border=np.zeros(2, dtype=bool),
+        spread_px2=np.zeros((2, 3)),
+        is_part=np.zeros(2, dtype=bool),
         pos_m=found.pos_m,
         pos_sd_m=np.full(2, 1e-3),
         radius_m=found.radius_m,

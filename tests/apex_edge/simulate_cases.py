@@ -62,6 +62,7 @@ def tracks(**changes):
         "centre_px": np.zeros((n, 2)),
         "area_px2": np.full(n, 400.0),
         "is_manoeuvre": np.zeros(n, dtype=bool),
+        "is_blurred": np.zeros(n, dtype=bool),
         "smooth_m": np.zeros((n, 3)),
     }
     values.update(changes)

@@ -161,6 +161,7 @@ def head_on(names: Tuple[str, str]) -> Tuple[HazardScores, Tracks]:
         centre_px=np.zeros((2, 2)),
         area_px2=nothing,
         is_manoeuvre=np.array([False, False]),
+        is_blurred=np.array([False, False]),
         smooth_m=np.zeros((2, 3)),
     )
     one = np.array([1.0])

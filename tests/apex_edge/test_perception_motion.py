@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from apex_edge.perception.motion import MotionEstimator, MotionRules
+from apex_edge.perception.estimator import MotionRules
+from apex_edge.perception.motion import MotionEstimator
 
 DT = 1.0 / 30.0
 PX = MotionRules(speed_sd=2000.0, acc_sd=600.0, stamp_sd_s=0.0)

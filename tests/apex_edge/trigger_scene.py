@@ -32,6 +32,7 @@ def tracks(pos_m, vel_m_s=None, seq=1, t_s=1.0, sd_m=0.001, sd_m_s=0.004, **chan
         "centre_px": np.zeros((n, 2)),
         "area_px2": np.full(n, 100.0),
         "is_manoeuvre": np.zeros(n, dtype=bool),
+        "is_blurred": np.zeros(n, dtype=bool),
         "smooth_m": pos.copy(),
     }
     values.update(changes)
