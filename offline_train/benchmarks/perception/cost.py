@@ -13,7 +13,7 @@ import itertools
 import time
 from dataclasses import replace
 from statistics import median
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from apex_edge import geometry
 from apex_edge.cameras.twin import TwinCamera, TwinConfig
 from apex_edge.perception import ColourTable, Perception, PerceptionConfig, blobs
 from apex_edge.perception.blobs import Box
-from apex_edge.perception.colour_model import words
+from apex_edge.perception.lookup import words
 from apex_edge.perception.tracking import Tracker
 from apex_edge.twin.scene import Scenario, SceneObject
 from apex_edge.twin.world import TwinWorld
@@ -53,6 +53,9 @@ class Shown(NamedTuple):
     true_px: Dict[str, Array]
 
 
+Form = Callable[[Shown], object]
+
+
 def two_colours() -> ColourTable:
     """Return the twin's red and green."""
     models = ColourTable.builtin().models
@@ -80,7 +83,7 @@ def shown_frames(table: ColourTable, config: PerceptionConfig, has_depth: bool) 
         pixels, _ = geometry.project(camera.camera, objects.pos_m)
         if not has_depth:
             frame = replace(frame, depth_mm=None, camera=None)
-        windows = tracker.windows(frame.t_s, frame.camera, frame.colour_bgr.shape)
+        windows = tracker.outlook(frame.t_s, frame.camera, frame.colour_bgr.shape).box
         tracker.update(stage.step(frame)[0], frame.camera)
         if number >= N_WARM_UP:
             true_px = dict(zip(objects.colour, pixels))
@@ -89,7 +92,7 @@ def shown_frames(table: ColourTable, config: PerceptionConfig, has_depth: bool) 
 
 
 def interleaved(
-    forms: Mapping[str, Callable[[Shown], object]],
+    forms: Mapping[str, Form],
     shown: Sequence[Shown],
     n_repeats: int,
     clock: Clock,
@@ -118,32 +121,39 @@ def measure(
     n_threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with Progress("rounds", 2 * n_repeats, is_quiet) as progress:
+        with Progress("rounds", 4 * n_repeats, is_quiet) as progress:
             flat = shown_frames(table, config, has_depth=False)
             deep = shown_frames(table, config, has_depth=True)
-            forms = _forms(flat, table, config)
-            taken = interleaved(forms, flat, n_repeats, clock, progress.advance)
-            whole = {"step with depth": _stepper(table, config)}
-            taken.update(interleaved(whole, deep, n_repeats, clock, progress.advance))
+            taken: Dict[str, List[float]] = {}
+            for forms, shown in _groups(flat, deep, table, config):
+                taken.update(interleaved(forms, shown, n_repeats, clock, progress.advance))
     finally:
         cv2.setNumThreads(n_threads)
     return _lines(taken, flat)
 
 
-def _forms(
-    shown: Sequence[Shown], table: ColourTable, config: PerceptionConfig
-) -> Dict[str, Callable[[Shown], Any]]:
-    ranges = _ranges(shown[0])
-    return {
+def _groups(
+    flat: Sequence[Shown], deep: Sequence[Shown], table: ColourTable, config: PerceptionConfig
+) -> List[Tuple[Dict[str, Form], Sequence[Shown]]]:
+    """Return what is timed side by side, and on which pictures."""
+    ranges = _ranges(flat[0])
+    classify: Dict[str, Form] = {
         "table": lambda one: table.classify(one.frame.colour_bgr),
         "LAB": lambda one: peer.classify_lab(one.frame.colour_bgr, ranges),
+    }
+    update: Dict[str, Form] = {
         "paper": lambda one: peer.paper_centres(one.frame.colour_bgr, ranges),
         "windows": lambda one: blobs.find(one.frame.colour_bgr, table, one.windows, config),
-        "step": _stepper(table, config),
     }
+    return [
+        (classify, flat),
+        (update, flat),
+        ({"step": _stepper(table, config)}, flat),
+        ({"step with depth": _stepper(table, config)}, deep),
+    ]
 
 
-def _stepper(table: ColourTable, config: PerceptionConfig) -> Callable[[Shown], Any]:
+def _stepper(table: ColourTable, config: PerceptionConfig) -> Form:
     """Return a whole perception stage that plays the pictures round and round, time going on."""
     stage = Perception(config, table)
     number = itertools.count()

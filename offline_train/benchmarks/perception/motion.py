@@ -228,21 +228,20 @@ def _bounce(rng: np.random.RandomState, rules: MotionRules, n_trials: int) -> Li
 
 
 def _bounce_any_phase(rng: np.random.RandomState, rules: MotionRules, n_trials: int) -> List[Line]:
-    """Let the bounce fall anywhere between two frames, which is where real ones do."""
-    errors = []
-    for phase in np.linspace(0.05, 0.95, N_PHASES):
-        shift_s = float(phase / FPS)  # the bounce comes that much later than on a frame
+    """Let the bounce fall anywhere between two frames, three sightings before the end."""
+    share = np.sort(rng.uniform(size=(n_trials, 1)), axis=0)
 
-        def later(t: Array, shift_s: float = shift_s) -> Tuple[Array, Array]:
-            return bounce(t - shift_s)
+    def path(t: Array) -> Tuple[Array, Array]:
+        since = t - (share * t[:, -4:-3] + (1.0 - share) * t[:, -3:-2])
+        return SPEED_PX_S * np.abs(since), SPEED_PX_S * np.sign(since)
 
-        trials = draw(rng, later, max(1, n_trials // N_PHASES))
-        errors.append(follow(trials, rules, (-1,)).speed_px_s[:, -1])
-    phase_rms = [rms(error) for error in errors]
-    what = "third sighting after a bounce at any phase: speed, RMS px/s"
+    errors = follow(draw(rng, path, n_trials), rules, (-1,)).speed_px_s[:, -1]
+    by_phase = [rms(part) for part in np.array_split(errors, N_PHASES) if len(part)]
+    what = "third sighting after a bounce between frames: speed, RMS px/s"
     return [
-        at_most("motion", what, rms(np.concatenate(errors)), 15.0),
-        note("motion", "  the worst phase", max(phase_rms)),
+        at_most("motion", what, rms(errors), 15.0),
+        note("motion", "  the worst tenth of all phases", max(by_phase)),
+        note("motion", "  95 % within", float(np.percentile(np.abs(errors), 95.0))),
     ]
 
 
