@@ -3,7 +3,7 @@
 Small arrays, many times a frame: plain sums where a numpy call would cost more. Source: ours.
 """
 
-from typing import NamedTuple, Sequence, Tuple
+from typing import NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -33,13 +33,15 @@ class Points(NamedTuple):
 class Fit(NamedTuple):
     """Polynomial ``beta (p, d)`` about ``t_s`` with ``unit_cov (p, p)`` and ``noise_var (d,)``.
 
-    ``misfit`` is the sum of squared residuals over the expected variance, ``lean`` the same of
-    the sum of the newest three: large when the motion has just begun to leave the fit. ``worst``
-    is the sample whose removal would lower the misfit most, by ``gain``.
+    ``held_acc (d,)`` is an acceleration that was taken as known, beside the polynomial. ``misfit``
+    is the sum of squared residuals over the expected variance, ``lean`` the same of the sum of the
+    newest three: large when the motion has just begun to leave the fit. ``worst`` is the sample
+    whose removal would lower the misfit most, by ``gain``.
     """
 
     t_s: float
     beta: Array
+    held_acc: Array
     unit_cov: Array
     noise_var: Array
     misfit: float
@@ -52,6 +54,11 @@ class Fit(NamedTuple):
     def order(self) -> int:
         """Return the number of coefficients: 2 a line, 3 a parabola."""
         return len(self.beta)
+
+    @property
+    def acc(self) -> Array:
+        """Return the acceleration (d,)."""
+        return self.held_acc + 2.0 * self.beta[2] if self.order == PARABOLA else self.held_acc
 
 
 def points(samples: Sequence[Sample], sd: Array, stamp_sd_s: float) -> Points:
@@ -67,14 +74,18 @@ def points(samples: Sequence[Sample], sd: Array, stamp_sd_s: float) -> Points:
     return Points(newest_s, t, x, var)
 
 
-def solve(seen: Points, order: int, speed_sd: float) -> Fit:
+def solve(seen: Points, order: int, speed_sd: float, held_acc: Optional[Array] = None) -> Fit:
     """Fit a polynomial of ``order`` coefficients about the newest sample.
 
     The speed has a weak prior of sd ``speed_sd``, so that one or two sightings already give an
-    honest state.
+    honest state. With ``held_acc`` (d,) that acceleration is taken out first.
     """
     t, x, var = seen.t_s, seen.x, seen.var
     n, dim = x.shape
+    if held_acc is None:
+        held_acc = np.zeros(dim)
+    else:
+        x = x - 0.5 * t[:, None] ** 2 * held_acc
     scale = float(var.sum()) / n
     weight = scale / var
     rows = np.ones((n, order))
@@ -98,6 +109,7 @@ def solve(seen: Points, order: int, speed_sd: float) -> Fit:
     return Fit(
         t_s=seen.newest_s,
         beta=beta,
+        held_acc=held_acc,
         unit_cov=unit_cov,
         noise_var=(_PRIOR_DOF * scale + by_axis) / (_PRIOR_DOF + dof),
         misfit=float(square.sum()) / scale,
@@ -113,11 +125,12 @@ def at(fit: Fit, dt_s: float) -> Tuple[Array, Array, Tuple[float, float, float]]
 
     The variances are those of position, position with velocity, and velocity, for noise 1.
     """
-    beta, unit = fit.beta, fit.unit_cov
+    beta, unit, held = fit.beta, fit.unit_cov, fit.held_acc
     if fit.order == LINE:
         u00, u01, u11 = float(unit[0, 0]), float(unit[0, 1]), float(unit[1, 1])
         variances = (u00 + 2.0 * dt_s * u01 + dt_s * dt_s * u11, u01 + dt_s * u11, u11)
-        return beta[0] + dt_s * beta[1], beta[1].copy(), variances
+        speed = beta[1] + dt_s * held
+        return beta[0] + dt_s * beta[1] + (0.5 * dt_s * dt_s) * held, speed, variances
     row_x = np.array([1.0, dt_s, dt_s * dt_s])
     row_v = np.array([0.0, 1.0, 2.0 * dt_s])
     ahead = unit @ row_v

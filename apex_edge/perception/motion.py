@@ -30,10 +30,19 @@ _CURVED = {
 _MISFIT_SIGMA = 4.0
 _LEAN_SHARE = 0.4  # the newest samples pull the fit, so their residuals are small
 _ONSET = 0.1  # of the stated noise per frame: motion that has just begun goes unnoticed
-_MIN_NOISE, _N_NOISE = 8, 25
-_MIN_NOISE_RATIO, _MAX_NOISE_RATIO = 0.3, 4.0
+_MIN_NOISE, _N_NOISE = 6, 25
+_MIN_NOISE_RATIO, _MAX_NOISE_RATIO = 0.3, 4.0  # of the stated noise, for gates and fits
+_LEAST_NOISE = 0.05  # of the stated noise, for what is told
 _NOISE_MARGIN = 1.4
 _SCALE_SD = 0.02  # of the speed: calibration, and a bias that changes along the way
+_LONE_DOUBT = 0.5  # of a first miss's square: as often an outlier as the start of something new
+_MIN_CURVED = 5  # samples before a parabola's acceleration is worth remembering
+_FORGET = 10  # samples that a plain line explains, and the remembered acceleration is no more
+_CHANGE_S = 1.5  # mean time between changes of motion on a table
+# Innovations are held against what was predicted of them, and the covariance grows with their mean
+# square, capped so that an outlier or a bounce counts as little more than a poor sighting.
+_N_DISTRUST, _DISTRUST_PRIOR = 20, 4
+_DISTRUST_CAP, _MAX_DISTRUST = 9.0, 25.0
 
 
 class MotionEstimator(Estimator):
@@ -47,6 +56,10 @@ class MotionEstimator(Estimator):
         self._recent: Deque[Sample] = deque(maxlen=PAPER_WINDOW)
         self._noise: Deque[float] = deque(maxlen=_N_NOISE)
         self._shown_sd = 0.0
+        self._known_acc: Optional[Array] = None
+        self._n_straight = 0
+        self._innovations: Deque[float] = deque(maxlen=_N_DISTRUST)
+        self._distrust = 1.0
         self._fit: Optional[Fit] = None
         self._state: Optional[Motion] = None
         self._state_t_s = 0.0
@@ -77,7 +90,8 @@ class MotionEstimator(Estimator):
         self._window, self._waiting, self._fit = [], [], None
         self._recent.clear()
         self._noise.clear()
-        self._shown_sd = 0.0
+        self._innovations.clear()
+        self._shown_sd, self._distrust, self._known_acc = 0.0, 1.0, None
         self._n_since_manoeuvre = 1 << 30
 
     def add(self, t_s: float, x: Array, sd: float) -> None:
@@ -87,6 +101,7 @@ class MotionEstimator(Estimator):
         if t_s - self.last_t_s > self._rules.max_gap_s:
             self.clear()
         sample = Sample(t_s, np.asarray(x, dtype=np.float64), sd)
+        self._note_innovation(sample)
         self._note_noise(sample)
         self._recent.append(sample)
         self._n_since_manoeuvre += 1
@@ -119,24 +134,46 @@ class MotionEstimator(Estimator):
         position, velocity, (unit_x, unit_xv, unit_v) = at(fit, t_s - fit.t_s)
         unseen = max(0.0, t_s - self.last_t_s)
         off_x, off_v = self._unseen_curve(fit, velocity)
-        drift_x, drift_v = 0.5 * rules.acc_sd * unseen * unseen, rules.acc_sd * unseen
-        var_x = drift_x**2 + off_x**2 + self._doubt()
-        var_xv, var_v = drift_x * drift_v + off_x * off_v, drift_v**2 + off_v**2
-        var_v += _SCALE_SD**2 * float(velocity @ velocity) + self._onset_sd() ** 2
+        new_x, new_xv, new_v = self._unseen_change(unseen)
+        var_v = off_v**2 + _SCALE_SD**2 * float(velocity @ velocity) + self._onset_sd() ** 2
         cov = np.zeros((2 * dim, 2 * dim))
         is_young = len(self._window) < rules.min_samples
         for axis, noise in enumerate(fit.noise_var.tolist()):
             other = dim + axis
-            cov[axis, axis] = unit_x * noise + var_x
+            cov[axis, axis] = self._distrust * (unit_x * noise + off_x**2) + new_x
             if is_young:
                 cov[other, other] = rules.speed_sd**2
             else:
-                cov[axis, other] = cov[other, axis] = unit_xv * noise + var_xv
-                cov[other, other] = unit_v * noise + var_v
+                both = self._distrust * (unit_xv * noise + off_x * off_v) + new_xv
+                cov[axis, other] = cov[other, axis] = both
+                cov[other, other] = self._distrust * (unit_v * noise + var_v) + new_v
         if is_young:
             velocity = np.zeros(dim)
-        acc = 2.0 * fit.beta[2] if fit.order == PARABOLA else np.zeros(dim)
-        return Motion(position, velocity, acc, cov)
+        return Motion(position, velocity, fit.acc, cov)
+
+    def noise_sd(self, sd: float) -> float:
+        """Return the noise (one axis) that a sighting stated with ``sd`` is believed to have."""
+        if self._shown_sd > 0.0:
+            sd = min(max(self._shown_sd, _LEAST_NOISE * sd), _MAX_NOISE_RATIO * sd)
+        return math.sqrt(self._distrust) * sd
+
+    def _unseen_change(self, unseen_s: float) -> Tuple[float, float, float]:
+        """Return the variances of x, x with v, and v that a change of motion may have made.
+
+        Since the last sighting one may have begun, at any time, with a chance that grows with the
+        time; and sightings outside the gate say that one has.
+        """
+        chance = self._rules.acc_sd**2 * min(1.0, unseen_s / _CHANGE_S)
+        var_x, var_xv = chance * unseen_s**4 / 20.0, chance * unseen_s**3 / 8.0
+        var_v = chance * unseen_s**2 / 3.0
+        gap2, since_s = self._doubt()
+        if since_s > 0.0:
+            # the miss grew since the last sighting inside, and goes on growing
+            rate2 = gap2 / since_s**2
+            var_x += gap2 + rate2 * unseen_s**2 + 2.0 * gap2 / since_s * unseen_s
+            var_xv += gap2 / since_s + rate2 * unseen_s
+            var_v += rate2
+        return var_x, var_xv, var_v
 
     def _onset_sd(self) -> float:
         """Return the sd of the speed that motion begun within the last frames leaves."""
@@ -144,13 +181,14 @@ class MotionEstimator(Estimator):
         span = samples[-1].t_s - samples[0].t_s
         return _ONSET * samples[-1].sd * (len(samples) - 1) / span if span > 0.0 else 0.0
 
-    def _doubt(self) -> float:
-        """Return the variance that sightings outside the gate put on the position."""
-        if len(self._waiting) < 2 or self._fit is None:
-            return 0.0
+    def _doubt(self) -> Tuple[float, float]:
+        """Return the mean square by which the newest miss is off, and for how long already."""
+        if not self._waiting or self._fit is None:
+            return 0.0, 0.0
         newest = self._waiting[-1]
         gap = newest.x - at(self._fit, newest.t_s - self._fit.t_s)[0]
-        return float(gap @ gap) / len(gap)
+        share = 1.0 if len(self._waiting) >= 2 else _LONE_DOUBT
+        return share * float(gap @ gap) / len(gap), newest.t_s - self._fit.t_s
 
     def _unseen_curve(self, fit: Fit, velocity: Array) -> Tuple[float, float]:
         """Return the sd of x and of v that a curvature too weak to be noticed leaves.
@@ -161,7 +199,7 @@ class MotionEstimator(Estimator):
         n, dim = len(self._window), len(velocity)
         span = self._window[-1].t_s - self._window[0].t_s
         noise = float(fit.noise_var.sum()) / dim
-        if fit.order != LINE or n < 4 or span <= 0.0:
+        if fit.order != LINE or fit.held_acc.any() or n < 4 or span <= 0.0:
             return 0.0, 0.0
         if float(velocity @ velocity) <= 9.0 * dim * noise * float(fit.unit_cov[1, 1]):
             return 0.0, 0.0
@@ -196,37 +234,56 @@ class MotionEstimator(Estimator):
         if len(self._noise) >= _MIN_NOISE:
             self._shown_sd = median(self._noise) / 0.6745
 
+    def _note_innovation(self, sample: Sample) -> None:
+        """Hold a new sighting against what was predicted of it."""
+        if self._fit is None or len(self._window) < self._rules.min_samples:
+            return
+        state, dim = self.predict(sample.t_s), len(sample.x)
+        miss = sample.x - state.x
+        variance = np.diag(state.cov)[:dim] + self.noise_sd(sample.sd) ** 2
+        share = self._distrust * float(np.mean(miss * miss / variance))
+        self._innovations.append(min(share, _DISTRUST_CAP * self._distrust))
+        n_prior = max(0, _DISTRUST_PRIOR - len(self._innovations) // 4)
+        mean = (sum(self._innovations) + n_prior) / (len(self._innovations) + n_prior)
+        self._distrust = min(max(mean, 1.0), _MAX_DISTRUST)
+
     def _is_inside(self, sample: Sample) -> bool:
+        """Say whether a sighting is within the gate, as wide as the stated noise makes it."""
         state = self.predict(sample.t_s)
         dim = len(sample.x)
-        variance = np.diag(state.cov)[:dim] + (
-            float(self._noise_sd(np.array(sample.sd))) ** 2 - self._doubt()
-        )
+        fit, wide = self._fit, self._distrust
+        assert fit is not None
+        unseen = max(0.0, sample.t_s - self.last_t_s)
+        unit_x = at(fit, sample.t_s - fit.t_s)[2][0]
+        off_x, _ = self._unseen_curve(fit, state.v)
+        drift_x = 0.5 * self._rules.acc_sd * unseen * unseen
+        noise = float(self._noise_sd(np.array(sample.sd)))
+        variance = wide * (unit_x * fit.noise_var + off_x**2 + noise**2) + drift_x**2
         variance = variance + float(state.v @ state.v) * self._rules.stamp_sd_s**2
         miss = sample.x - state.x
         limit = self._rules.gate_sigma**2 * _GATE_SHARE.get(dim, 1.5)
         return bool(np.sum(miss * miss / variance) <= limit)
 
     def _try_restart(self) -> None:
-        """Start anew from the waiting sightings once they agree among themselves.
+        """Start anew from the newest sightings once they agree among themselves.
 
-        Sightings from before the change never count: two before and two after a reversal between
-        two frames lie on a perfect parabola, twice too fast.
+        Three on a line, of which the gate kept two or more out. Four on a parabola must all have
+        been kept out: two before and two after a reversal lie on a perfect one, twice too fast.
         """
-        waiting = self._waiting
-        if len(waiting) >= 3 and self._agree(waiting[-3:], LINE):
-            self._restart(waiting[-3:])
-        elif len(waiting) >= 4 and self._agree(waiting[-4:], PARABOLA):
-            self._restart(waiting[-4:])
-        elif len(waiting) >= PAPER_WINDOW:
-            self._restart(waiting[-3:])
+        newest = list(self._recent)
+        n_waiting = len(self._waiting)
+        is_line = n_waiting >= 2 and len(newest) >= 3 and self._agree(newest[-3:], LINE)
+        if is_line or n_waiting >= PAPER_WINDOW:
+            self._restart(newest[-3:])
+        elif n_waiting >= 4 and self._agree(newest[-4:], PARABOLA):
+            self._restart(newest[-4:])
 
     def _restart(self, samples: List[Sample]) -> None:
         self._window, self._waiting = list(samples), []
         self._n_since_manoeuvre = 0
 
     def _agree(self, samples: List[Sample], order: int) -> bool:
-        fit = self._solve(samples, order)
+        fit = self._straightest(samples) if order == LINE else self._solve(samples, order)
         dim = fit.beta.shape[1]
         return fit.misfit <= self._rules.gate_sigma**2 * _GATE_SHARE.get(dim, 1.5) * 0.6
 
@@ -248,6 +305,7 @@ class MotionEstimator(Estimator):
             self._window = self._window[-max(4, len(self._window) // 2) :]
             self._n_since_manoeuvre = min(self._n_since_manoeuvre, 1)
         self._fit = fit
+        self._note_acceleration(fit)
 
     def _holds(self, fit: Fit) -> bool:
         limit = 1.0 + _MISFIT_SIGMA * math.sqrt(2.0 / max(1, fit.dof))
@@ -264,7 +322,8 @@ class MotionEstimator(Estimator):
         return fit.misfit - fit.gain <= limit * dof
 
     def _best_fit(self, samples: List[Sample]) -> Fit:
-        line = self._solve(samples, LINE)
+        """Return the simplest fit that does: line, line under the known acceleration, parabola."""
+        line = self._straightest(samples)
         needed = _CURVED.get(line.beta.shape[1], 16.0)
         if len(samples) < 4 or line.misfit <= needed:
             return line  # no curve can gain more than the whole misfit
@@ -272,6 +331,24 @@ class MotionEstimator(Estimator):
         is_curved = line.misfit - curve.misfit > needed
         return curve if is_curved else line
 
-    def _solve(self, samples: List[Sample], order: int) -> Fit:
+    def _straightest(self, samples: List[Sample]) -> Fit:
+        """Return the better of a line and a line bent by the acceleration seen before a bounce."""
+        line = self._solve(samples, LINE)
+        if self._known_acc is None or len(samples) < 3:
+            return line
+        bent = self._solve(samples, LINE, self._known_acc)
+        return bent if bent.misfit < line.misfit else line
+
+    def _note_acceleration(self, fit: Fit) -> None:
+        """Remember what bends the path: gravity is the same after a bounce."""
+        if fit.order == PARABOLA and len(self._window) >= _MIN_CURVED:
+            self._known_acc, self._n_straight = fit.acc, 0
+        elif self._known_acc is not None and not fit.held_acc.any():
+            self._n_straight += 1
+            if self._n_straight >= _FORGET:
+                self._known_acc = None
+
+    def _solve(self, samples: List[Sample], order: int, held_acc: Optional[Array] = None) -> Fit:
         sd = self._noise_sd(np.array([sample.sd for sample in samples]))
-        return solve(points(samples, sd, self._rules.stamp_sd_s), order, self._rules.speed_sd)
+        seen = points(samples, sd, self._rules.stamp_sd_s)
+        return solve(seen, order, self._rules.speed_sd, held_acc)
