@@ -92,6 +92,7 @@ setup(
         ],
         "apex_edge.benches": [
             "latency = offline_train.benchmarks.latency",
+            "perception = offline_train.benchmarks.perception",
             "rollout = offline_train.benchmarks.rollout",
         ],
     },

@@ -53,7 +53,7 @@ def listening() -> Iterator[List[Note]]:
             is_new = t_s > self.last_t_s
             is_fresh = not self.n_samples or t_s - self.last_t_s > self._max_gap_s
             expected = None if is_fresh or not is_new else self.predict(t_s)
-            noise_sd = float(np.mean(self._noise_sd(np.array([sd]))))
+            noise_sd = self.noise_sd(sd)
             n_before = self.n_samples
             super().add(t_s, x, sd)
             if is_new:
