@@ -191,7 +191,7 @@ def measure(seed: int, n_cases: int, is_quiet: bool = False) -> List[Line]:
 
 
 def lines_of(seed: int, outcomes: Sequence[Outcome]) -> List[Line]:
-    """Return what came of each kind, a failure of each sort in full, and the promise kept or not."""
+    """Return what came of each kind, a failure of each sort, and whether the promise is kept."""
     by_kind: Dict[str, Counter[str]] = {}
     for outcome in outcomes:
         by_kind.setdefault(outcome.kind, collections.Counter())[outcome.result] += 1
