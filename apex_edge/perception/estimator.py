@@ -18,11 +18,15 @@ class Motion(NamedTuple):
 
 
 class MotionRules(NamedTuple):
-    """What an estimator takes for granted, in the unit of the positions (m or px)."""
+    """What an estimator takes for granted, in the unit of the positions (m or px).
+
+    ``acc_sd`` of what may begin at any time, ``curve_sd`` of what may bend a path from its start.
+    """
 
     speed_sd: float
     acc_sd: float
     stamp_sd_s: float
+    curve_sd: float = 0.0
     window: int = 20
     min_samples: int = 3
     gate_sigma: float = 4.0

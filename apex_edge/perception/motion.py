@@ -30,14 +30,17 @@ _CURVED = {
 _MISFIT_SIGMA = 4.0
 _LEAN_SHARE = 0.4  # the newest samples pull the fit, so their residuals are small
 _ONSET = 0.1  # of the stated noise per frame: motion that has just begun goes unnoticed
-_MIN_NOISE, _N_NOISE = 6, 25
+_MIN_NOISE, _N_NOISE = 8, 25
 _MIN_NOISE_RATIO, _MAX_NOISE_RATIO = 0.3, 4.0  # of the stated noise, for gates and fits
 _LEAST_NOISE = 0.05  # of the stated noise, for what is told
 _NOISE_MARGIN = 1.4
 _SCALE_SD = 0.02  # of the speed: calibration, and a bias that changes along the way
 _LONE_DOUBT = 0.5  # of a first miss's square: as often an outlier as the start of something new
-_MIN_CURVED = 5  # samples before a parabola's acceleration is worth remembering
+_MIN_CURVED, _SURE_CURVED = 5, 3  # samples, and fits in a row, before a curve is remembered
 _FORGET = 10  # samples that a plain line explains, and the remembered acceleration is no more
+# Sd of a measured acceleration over sd(x) / sqrt(n) / T^2 is sqrt(720) = 26.8; real paths are
+# straighter than that more often than not.
+_UNNOTICED = 16.0
 _CHANGE_S = 1.5  # mean time between changes of motion on a table
 # Innovations are held against what was predicted of them, and the covariance grows with their mean
 # square, capped so that an outlier or a bounce counts as little more than a poor sighting.
@@ -57,9 +60,10 @@ class MotionEstimator(Estimator):
         self._noise: Deque[float] = deque(maxlen=_N_NOISE)
         self._shown_sd = 0.0
         self._known_acc: Optional[Array] = None
-        self._n_straight = 0
+        self._n_curved = self._n_straight = 0
         self._innovations: Deque[float] = deque(maxlen=_N_DISTRUST)
         self._distrust = 1.0
+        self._is_borrowed = False  # the window starts with a sighting from before the restart
         self._fit: Optional[Fit] = None
         self._state: Optional[Motion] = None
         self._state_t_s = 0.0
@@ -106,8 +110,9 @@ class MotionEstimator(Estimator):
         self._recent.append(sample)
         self._n_since_manoeuvre += 1
         if self._fit is None or self._is_inside(sample):
-            self._window = (self._window + [sample])[-self._rules.window :]
-            self._waiting = []
+            first = 1 if self._is_borrowed else 0
+            self._window = (self._window[first:] + [sample])[-self._rules.window :]
+            self._waiting, self._is_borrowed = [], False
         else:
             self._waiting.append(sample)
             self._try_restart()
@@ -133,7 +138,7 @@ class MotionEstimator(Estimator):
         rules, dim = self._rules, fit.beta.shape[1]
         position, velocity, (unit_x, unit_xv, unit_v) = at(fit, t_s - fit.t_s)
         unseen = max(0.0, t_s - self.last_t_s)
-        off_x, off_v = self._unseen_curve(fit, velocity)
+        off_x, off_v = self._unseen_curve(fit, velocity, t_s - fit.t_s)
         new_x, new_xv, new_v = self._unseen_change(unseen)
         var_v = off_v**2 + _SCALE_SD**2 * float(velocity @ velocity) + self._onset_sd() ** 2
         cov = np.zeros((2 * dim, 2 * dim))
@@ -190,21 +195,25 @@ class MotionEstimator(Estimator):
         share = 1.0 if len(self._waiting) >= 2 else _LONE_DOUBT
         return share * float(gap @ gap) / len(gap), newest.t_s - self._fit.t_s
 
-    def _unseen_curve(self, fit: Fit, velocity: Array) -> Tuple[float, float]:
+    def _unseen_curve(self, fit: Fit, velocity: Array, ahead_s: float) -> Tuple[float, float]:
         """Return the sd of x and of v that a curvature too weak to be noticed leaves.
 
-        A line over T seconds with an acceleration of one sd of what could have been measured is
-        off by a T / 2 at its end. An object at rest has none: friction needs motion.
+        ``ahead_s`` after the newest sample. A line over T seconds with an acceleration of one sd
+        of what could have been measured is off by a T / 2 in speed at its end. An object at rest
+        has none: friction needs motion.
         """
         n, dim = len(self._window), len(velocity)
         span = self._window[-1].t_s - self._window[0].t_s
         noise = float(fit.noise_var.sum()) / dim
-        if fit.order != LINE or fit.held_acc.any() or n < 4 or span <= 0.0:
+        most = max(self._rules.acc_sd, self._rules.curve_sd) if n >= 4 else self._rules.curve_sd
+        if fit.order != LINE or fit.held_acc.any() or n < 3 or span <= 0.0:
             return 0.0, 0.0
         if float(velocity @ velocity) <= 9.0 * dim * noise * float(fit.unit_cov[1, 1]):
             return 0.0, 0.0
-        acc = min(self._rules.acc_sd, 26.8 * math.sqrt(noise / n) / span**2)
-        return acc * span * span / 12.0, acc * span / 2.0
+        acc = min(most, _UNNOTICED * math.sqrt(noise / n) / span**2)
+        ahead_s = max(ahead_s, 0.0)
+        off_x = span * span / 12.0 + 0.5 * span * ahead_s + 0.5 * ahead_s * ahead_s
+        return acc * off_x, acc * (0.5 * span + ahead_s)
 
     def _noise_sd(self, stated: Array) -> Array:
         """Return the noise (n,) of sightings: what the track has shown, near what is stated."""
@@ -251,14 +260,14 @@ class MotionEstimator(Estimator):
         """Say whether a sighting is within the gate, as wide as the stated noise makes it."""
         state = self.predict(sample.t_s)
         dim = len(sample.x)
-        fit, wide = self._fit, self._distrust
+        fit = self._fit
         assert fit is not None
         unseen = max(0.0, sample.t_s - self.last_t_s)
         unit_x = at(fit, sample.t_s - fit.t_s)[2][0]
-        off_x, _ = self._unseen_curve(fit, state.v)
+        off_x, _ = self._unseen_curve(fit, state.v, sample.t_s - fit.t_s)
         drift_x = 0.5 * self._rules.acc_sd * unseen * unseen
         noise = float(self._noise_sd(np.array(sample.sd)))
-        variance = wide * (unit_x * fit.noise_var + off_x**2 + noise**2) + drift_x**2
+        variance = unit_x * fit.noise_var + off_x**2 + noise**2 + drift_x**2
         variance = variance + float(state.v @ state.v) * self._rules.stamp_sd_s**2
         miss = sample.x - state.x
         limit = self._rules.gate_sigma**2 * _GATE_SHARE.get(dim, 1.5)
@@ -267,8 +276,9 @@ class MotionEstimator(Estimator):
     def _try_restart(self) -> None:
         """Start anew from the newest sightings once they agree among themselves.
 
-        Three on a line, of which the gate kept two or more out. Four on a parabola must all have
-        been kept out: two before and two after a reversal lie on a perfect one, twice too fast.
+        Three on a line, of which the gate kept two or more out; one that it let in is given back
+        as soon as there are three without it. Four on a parabola must all have been kept out: two
+        before and two after a reversal lie on a perfect one, twice too fast.
         """
         newest = list(self._recent)
         n_waiting = len(self._waiting)
@@ -279,6 +289,7 @@ class MotionEstimator(Estimator):
             self._restart(newest[-4:])
 
     def _restart(self, samples: List[Sample]) -> None:
+        self._is_borrowed = len(samples) > len(self._waiting)
         self._window, self._waiting = list(samples), []
         self._n_since_manoeuvre = 0
 
@@ -332,16 +343,20 @@ class MotionEstimator(Estimator):
         return curve if is_curved else line
 
     def _straightest(self, samples: List[Sample]) -> Fit:
-        """Return the better of a line and a line bent by the acceleration seen before a bounce."""
+        """Return a line, or while young one bent by the acceleration seen before a bounce."""
         line = self._solve(samples, LINE)
-        if self._known_acc is None or len(samples) < 3:
+        needed = _CURVED.get(line.beta.shape[1], 16.0)
+        is_young = 3 <= len(samples) <= _MIN_CURVED
+        if self._known_acc is None or not is_young or line.misfit <= needed:
             return line
         bent = self._solve(samples, LINE, self._known_acc)
         return bent if bent.misfit < line.misfit else line
 
     def _note_acceleration(self, fit: Fit) -> None:
         """Remember what bends the path: gravity is the same after a bounce."""
-        if fit.order == PARABOLA and len(self._window) >= _MIN_CURVED:
+        is_curved = fit.order == PARABOLA and len(self._window) >= _MIN_CURVED
+        self._n_curved = self._n_curved + 1 if is_curved else 0
+        if self._n_curved >= _SURE_CURVED:
             self._known_acc, self._n_straight = fit.acc, 0
         elif self._known_acc is not None and not fit.held_acc.any():
             self._n_straight += 1

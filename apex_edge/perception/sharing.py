@@ -1,10 +1,11 @@
-"""Several objects of one colour in one blob: tell them apart by their outlines, or say so.
+"""Blobs that are not the whole of one object: find the objects by what outline is left of them.
 
 Where two balls touch or overlap their blobs melt together, and the middle of the whole is the
-place of neither. Each object's size is known from before, so its centre follows from the arc of
-the outline that is still its own: a circle of known radius, fitted by least squares. Where no arc
-is left, or both are expected in one place, nothing is reported: the tracks are carried on by their
-motion instead of exchanging their names. Source: ours.
+place of neither; where a hand covers a part, the middle of the rest is off by up to half a radius.
+Each object's size is known from before, so its centre follows from the arc of the outline that is
+still its own: a circle of known radius, fitted by least squares. Where no arc is left, or two are
+expected in one place, nothing is reported: the tracks are carried on by their motion instead of
+exchanging their names. Source: ours.
 """
 
 from dataclasses import replace
@@ -16,7 +17,10 @@ from apex_edge.perception.blobs import Blob, Box
 from apex_edge.types import Array
 
 _N_ROUNDS = 6
-_REACH = 0.4  # of a radius: outline points farther off belong to nothing expected
+# Of a radius: outline points farther off belong to nothing expected. Narrowing, so that the edge of
+# what covers an object lets go of the circle.
+_REACH, _LAST_REACH = 0.4, 0.2
+_COVERED = 0.85  # of its usual area; below, something hides a part of the object
 _MIN_ARC = 0.2  # of a circle's outline
 _MIN_SPREAD = 0.05  # least eigenvalue of the arc's directions; 0.09 is an arc of 60 degrees
 _MAX_RESIDUAL = 0.15  # of a radius; a square's outline is 0.11 off its circle
@@ -31,13 +35,15 @@ class Outlook(NamedTuple):
     """Where n tracks are expected in the picture.
 
     ``name``, ``centre_px (n, 2)``, ``step_px (n, 2)`` what each moves within ``STEP_S``,
-    ``radius_px (n,)``, and the window ``box`` to look in.
+    ``radius_px (n,)``, ``is_there (n,)`` seen or hidden in the frame before: of a track missed for
+    longer nobody knows that it is not the very object found now; and the window ``box`` to look in.
     """
 
     name: Tuple[str, ...]
     centre_px: Array
     step_px: Array
     radius_px: Array
+    is_there: Array
     box: Tuple[Box, ...]
 
 
@@ -63,7 +69,7 @@ def part(
     for index, blob in enumerate(blobs):
         rows = shares.get(index, [])
         if len(rows) < 2:
-            kept.append(blob)
+            kept.append(_completed(blob, outlook, rows))
             continue
         pieces = _cut(blob, outlook.centre_px[rows], outlook.radius_px[rows])
         if not any(pieces) and _is_one_object(blob, outlook, rows):
@@ -78,6 +84,8 @@ def _shares(blobs: Sequence[Blob], outlook: Outlook, names: Sequence[str]) -> Di
     """Return blob -> the rows expected in it; a row goes to the nearest blob of its colour."""
     shares: Dict[int, List[int]] = {}
     for row, name in enumerate(outlook.name):
+        if not outlook.is_there[row]:
+            continue
         centre, radius = outlook.centre_px[row], float(outlook.radius_px[row])
         best, best_gap = -1, radius
         for index, blob in enumerate(blobs):
@@ -97,6 +105,16 @@ def _gap(blob: Blob, centre: Array) -> float:
     dx = max(x - centre[0], 0.0, centre[0] - (x + w))
     dy = max(y - centre[1], 0.0, centre[1] - (y + h))
     return float(np.hypot(dx, dy))
+
+
+def _completed(blob: Blob, outlook: Outlook, rows: List[int]) -> Blob:
+    """Return the whole object of a blob that shows less of it than usual; else the blob."""
+    radii = outlook.radius_px[rows]
+    is_covered = len(rows) == 1 and blob.area_px2 < _COVERED * np.pi * float(radii[0]) ** 2
+    if not is_covered or blob.touches_border:
+        return blob
+    piece = _cut(blob, outlook.centre_px[rows], radii)[0]
+    return blob if piece is None else piece
 
 
 def _is_one_object(blob: Blob, outlook: Outlook, rows: List[int]) -> bool:
@@ -146,12 +164,12 @@ def _fit(outline: Array, centres: Array, radii: Array) -> Tuple[Array, Array, Ar
     fitted = centres.copy()
     own = np.full(len(outline), -1)
     is_visible = np.zeros(len(radii), dtype=bool)
-    for _ in range(_N_ROUNDS):
+    for reach_share in np.linspace(_REACH, _LAST_REACH, _N_ROUNDS):
         away = outline[:, None] - fitted[None]
         reach = np.linalg.norm(away, axis=2)
         miss = reach - radii
         own = np.argmin(np.abs(miss), axis=1)
-        own[np.abs(miss).min(axis=1) > _REACH * radii[own]] = -1
+        own[np.abs(miss).min(axis=1) > reach_share * radii[own]] = -1
         for row, radius in enumerate(radii):
             mine = own == row
             n = int(mine.sum())

@@ -21,7 +21,7 @@ _PART_NOISE = 3.0
 _BLUR_NOISE = 2.0
 _USUAL = (0.85, 1.4)  # shares of the usual area that nothing needs to be said about
 _PULL = 0.85  # of a radius is the centre off for the whole area missing; 0.42 for a half disc
-_MAX_ODD = 90  # after so many odd sizes in a row (3 s at 30 Hz) that is the size
+_MAX_ODD = 300  # after so many odd sizes in a row (10 s at 30 Hz) that is the size
 _SMEARED = 1.3  # times the usual elongation
 _ALONG = 0.94  # cosine between long axis and motion, 20 degrees
 _SWEEP = 0.3  # of a radius between two frames is the least motion that can smear
@@ -60,6 +60,7 @@ class Track:
     is_hidden: bool = False
     is_blurred: bool = False
     last: Sighting = field(init=False)
+    pos_sd: float = field(init=False)
     _sizes: Deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
     _areas: Deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
     _shapes: Deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
@@ -80,6 +81,11 @@ class Track:
         """Return the radius in the picture that its usual area has where it was last seen."""
         return math.sqrt(median(self._areas) / math.pi) / self.last.unit
 
+    @property
+    def is_there(self) -> bool:
+        """Say whether the newest frame showed it, or a blob it was hidden in."""
+        return self.status == TrackStatus.SEEN or self.is_hidden
+
     def see(self, sighting: Sighting) -> None:
         """Take a sighting into motion, size and shape."""
         elongation, along = _shape(sighting.spread_px2)
@@ -91,9 +97,9 @@ class Track:
             and sweep > _SWEEP * math.sqrt(sighting.area_px2 / math.pi)
             and abs(float(step @ along)) > _ALONG * sweep
         )
-        noise = self.noise_px * sighting.unit * self._doubt(sighting)
-        noise = math.hypot(noise, self._pull(sighting))
-        self.motion.add(sighting.t_s, sighting.where, noise)
+        noise, pull = self.noise_px * sighting.unit * self._doubt(sighting), self._pull(sighting)
+        self.motion.add(sighting.t_s, sighting.where, math.hypot(noise, pull))
+        self.pos_sd = math.hypot(sighting.pos_sd, pull)
         self._remember(sighting, elongation)
         self.last, self.status = sighting, TrackStatus.SEEN
 

@@ -26,6 +26,7 @@ from apex_edge.types import Array, CameraModel, Detections, Tracks, TrackStatus
 # well known than that of a whole object.
 _FRAGMENT_RADII = 2.5
 _GATE_RADII = 1.0  # two sightings within one object radius may always be the same object
+_FALL_RADII_S2 = 150.0  # free fall of a ball of 65 mm radius
 _SIZES = (0.4, 2.2)  # radius of a sighting over that of its track
 
 
@@ -83,6 +84,7 @@ class Tracker:
             centre_px=np.array(middles).reshape(-1, 2),
             step_px=np.array(steps).reshape(-1, 2),
             radius_px=np.array([track.radius_px for track in self._tracks]),
+            is_there=np.array([track.is_there for track in self._tracks], dtype=bool),
             box=tuple(boxes),
         )
 
@@ -175,7 +177,7 @@ class Tracker:
         track = self._tracks[index]
         sd = float(np.sqrt(state.cov.diagonal()[: len(state.x)].max()))
         swing = 2.0 * float(np.linalg.norm(state.v)) * (t_s - track.last.t_s)
-        return 4.0 * (sd + track.last.pos_sd) + swing + _GATE_RADII * track.size
+        return 4.0 * (sd + track.pos_sd) + swing + _GATE_RADII * track.size
 
     def _is_fragment(self, name: str, sighting: Sighting) -> bool:
         """Say whether a sighting lies inside an object that is already followed.
@@ -192,7 +194,7 @@ class Tracker:
         return False
 
     def _start(self, name: str, sighting: Sighting) -> None:
-        rules = self._rules()
+        rules = self._rules(sighting)
         motion: Estimator = MotionEstimator(rules)
         if self._config.motion == PAPER:
             motion = PaperMotion(rules)
@@ -227,12 +229,14 @@ class Tracker:
             )
         return result
 
-    def _rules(self) -> MotionRules:
+    def _rules(self, first: Sighting) -> MotionRules:
         config, is_metric = self._config, self._dim == 3
         return MotionRules(
             speed_sd=config.speed_sd_m_s if is_metric else config.speed_sd_px_s,
             acc_sd=config.acc_sd_m_s2 if is_metric else config.acc_sd_px_s2,
             stamp_sd_s=config.stamp_sd_s,
+            # pixels say nothing of metres, so an object's own size has to: it may well be falling
+            curve_sd=0.0 if is_metric else _FALL_RADII_S2 * first.size,
             window=config.window,
             min_samples=config.min_samples,
             gate_sigma=config.gate_sigma,
@@ -263,7 +267,7 @@ class Tracker:
                 continue
             pos[i], vel[i], acc[i] = state.x, state.v, state.a
             cov[i] = state.cov
-            cov[i, :3, :3] += np.eye(3) * track.last.pos_sd**2
+            cov[i, :3, :3] += np.eye(3) * track.pos_sd**2
             smooth[i], radius[i] = track.motion.smooth(), track.size
         result = Tracks(
             seq=seq,
