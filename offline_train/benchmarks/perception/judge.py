@@ -21,8 +21,8 @@ from apex_edge.perception import PerceptionConfig
 from apex_edge.twin.palette import PALETTE
 from apex_edge.types import Array, Detections, Frame, Tracks, TrackStatus
 
-HUE_STEPS = 14.0  # of OpenCV's 180
-LEAST_SATURATION, LEAST_VALUE = 40, 20
+HUE_STEPS = 22.0  # of OpenCV's 180
+LEAST_SATURATION, LEAST_VALUE = 40, 16
 LEAST_SHARE = 0.25  # of the area that is claimed
 RAY_PX = 3.0
 
