@@ -46,7 +46,8 @@ setup(
     extras_require={
         "train": ["scikit-learn>=1.0"],
         "offline": ["scikit-learn>=1.0", "mujoco>=2.3", "joblib>=1.2", "matplotlib>=3.5"],
-        "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1"],
+        "hiwonder": ["pyyaml>=5.3"],
+        "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1", "pyyaml>=5.3"],
         "lint": [
             # 1.4.1 is the last mypy that checks for 3.7; it runs in the 3.7 environment
             'mypy==1.4.1; python_version < "3.8"',

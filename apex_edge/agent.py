@@ -155,6 +155,11 @@ class Agent:
             timing_s=watch.timing_s,
         )
 
+    @property
+    def colour_use(self) -> Dict[str, float]:
+        """Return per colour how much of its tolerance its objects use up (1: about to be lost)."""
+        return self._parts.perception.drift.used
+
     def hold(self) -> None:
         """Stop the arm where it is and start afresh: what was foreseen is no longer true."""
         if self._parts.actuator is not None:

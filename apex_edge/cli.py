@@ -19,7 +19,7 @@ from apex_edge.errors import ApexError, PluginError
 # One line each for the built-in verbs, so that --help imports none of them.
 BUILT_IN = {
     "bench": "measure this machine: roll-outs side by side",
-    "calibrate": "teach colours from a labelled picture",
+    "calibrate": "measure lens, table, hand-eye, colours, servos, latency; print boards",
     "demo": "a collision, a quiet and an implicit scene; no hardware needed",
     "doctor": "what is missing for the demo, a camera, an arm, a language model",
     "record": "record a camera to a file that Foxglove opens",
@@ -33,6 +33,7 @@ EXTRA_OF = {
     "matplotlib": "offline",
     "mujoco": "offline",
     "sklearn": "train",
+    "yaml": "hiwonder",
 }
 VERB_PARTS = ("HELP", "EXAMPLE", "add_arguments", "run")
 INTERRUPTED = 130

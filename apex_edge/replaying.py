@@ -4,7 +4,7 @@ The recording's capture times are the only clock, so the same recording, setting
 the same decisions byte for byte.
 """
 
-from typing import Callable, Optional
+from typing import Callable, Dict, Optional
 
 from apex_edge.agent import run
 from apex_edge.assemble import Kit
@@ -101,8 +101,8 @@ class FrameClock(Camera):
         return self.t_s
 
 
-def replay(kit: Kit, camera: Camera, on_step: Callable[[Step], None]) -> None:
-    """Play a source to its end.
+def replay(kit: Kit, camera: Camera, on_step: Callable[[Step], None]) -> Dict[str, float]:
+    """Play a source to its end; return how much of its tolerance each colour used at the end.
 
     Parameters
     ----------
@@ -120,3 +120,4 @@ def replay(kit: Kit, camera: Camera, on_step: Callable[[Step], None]) -> None:
         clock.drive = rig.drive
         agent = kit.agent(clock.now_s, planner, kit.actuator(rig.session))
         run(agent, clock, on_step, lambda: False)
+    return agent.colour_use

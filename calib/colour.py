@@ -7,7 +7,7 @@ recall on the object, false positives on the background. Source: ours.
 
 import itertools
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -19,11 +19,11 @@ from apex_edge.perception.colour_model import (
     ColourModel,
     distance2,
     features,
-    label_table,
     model_from,
     word_features,
 )
 from apex_edge.perception.lookup import N_WORDS, words
+from apex_edge.perception.regions import Region, label_table
 from apex_edge.types import Array
 from calib.verdict import Limit, Verdict, judge, worst
 
@@ -82,7 +82,7 @@ class Quality:
 class ColourResult:
     """Models, their figures, and the labels (h, w) found in the picture itself."""
 
-    models: Tuple[ColourModel, ...]
+    models: Tuple[Region, ...]
     quality: Tuple[Quality, ...]
     labels: Array
 
@@ -102,7 +102,10 @@ class ColourResult:
 
 
 def solve(
-    picture: Array, samples: Sequence[Sample], background: Optional[Array] = None
+    picture: Array,
+    samples: Sequence[Sample],
+    background: Optional[Array] = None,
+    given: Optional[Mapping[str, Region]] = None,
 ) -> ColourResult:
     """Model each sampled colour and judge whether it can be used.
 
@@ -111,10 +114,12 @@ def solve(
     picture : shape (h, w, 3) uint8 BGR, with the objects in view.
     samples : discs inside the picture; several of one name are pooled.
     background : shape (h2, w2, 3) uint8 BGR without any of the objects, if there is one.
+    given : colours that are not to be modelled but only judged, by name.
 
     Raises
     ------
-    ColourError : no sample, a disc outside the picture or too small, or a colour without hue.
+    ColourError : no sample, a disc outside the picture or too small, a colour without hue, or one
+        that ``given`` does not hold.
     """
     if not samples:
         raise ColourError("no sample given; name at least one disc as NAME:x,y,r")
@@ -127,9 +132,13 @@ def solve(
     grounds = [_Ground(words(picture), rest)]
     if background is not None:
         grounds.append(_Ground(words(background), np.ones(background.shape[:2], dtype=bool)))
-    models, own = [], {}
+    models: List[Region] = []
+    own = {}
     for name in names:
         model, own[name], luma_sd = _robust_core(name, features(picture[discs[name]]))
+        if given is not None:
+            models.append(_given(given, name))
+            continue
         models.append(_narrow(model, grounds[0].words[discs[name]][own[name]], luma_sd, grounds))
     table = label_table(models)
     labels: Array = table[grounds[0].words]
@@ -139,6 +148,13 @@ def solve(
         for index, name in enumerate(names)
     )
     return ColourResult(tuple(models), quality, labels)
+
+
+def _given(given: Mapping[str, Region], name: str) -> Region:
+    if name not in given:
+        known = ", ".join(sorted(given)) or "none"
+        raise ColourError(f"no range is named {name!r}; there are: {known}")
+    return given[name]
 
 
 def _check(sample: Sample, shape: Tuple[int, ...]) -> None:

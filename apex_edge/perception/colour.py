@@ -13,14 +13,9 @@ import numpy as np
 
 from apex_edge.errors import ColourError
 from apex_edge.perception import colour_file
-from apex_edge.perception.colour_model import (
-    ColourModel,
-    coverage_table,
-    features,
-    label_table,
-    model_from,
-)
+from apex_edge.perception.colour_model import features, model_from
 from apex_edge.perception.lookup import look_up, words
+from apex_edge.perception.regions import Region, coverage_table, label_table
 from apex_edge.twin.palette import PALETTE
 from apex_edge.types import Array
 
@@ -28,7 +23,7 @@ from apex_edge.types import Array
 class ColourTable:
     """Classify every pixel of a picture by one look-up."""
 
-    def __init__(self, models: Sequence[ColourModel]) -> None:
+    def __init__(self, models: Sequence[Region]) -> None:
         """Build the table; where two colours claim a word the likelier one gets it.
 
         Raises
@@ -57,9 +52,8 @@ class ColourTable:
 
     @classmethod
     def _load_one(cls, path: Path) -> "ColourTable":
-        models = [ColourModel(**fields) for fields in colour_file.read(path)]
         try:
-            return cls(models)
+            return cls(colour_file.read(path))
         except ColourError as error:
             raise ColourError(f"{path}: {error}") from error
 
@@ -71,7 +65,7 @@ class ColourTable:
         ------
         ColourError : a name occurs in two tables.
         """
-        models: List[ColourModel] = [model for table in tables for model in table.models]
+        models: List[Region] = [model for table in tables for model in table.models]
         return cls(models)
 
     @classmethod

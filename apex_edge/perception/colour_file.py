@@ -3,7 +3,8 @@
 ::
 
     {"format": "apex-edge-colours", "version": 1, "sha256": "...",
-     "colours": [{"name", "chroma", "chroma_cov", "log_luma", "log_luma_sd", "gate", "floor"}],
+     "colours": [{"name", "chroma", "chroma_cov", "log_luma", "log_luma_sd", "gate", "floor"}
+                 or {"name", "lab_min", "lab_max"}],
      "made": {...}}
 """
 
@@ -13,6 +14,9 @@ from typing import Any, Dict, List, Mapping, Sequence
 
 from apex_edge import documents
 from apex_edge.errors import ColourError
+from apex_edge.perception.colour_model import ColourModel
+from apex_edge.perception.lab_range import LabRange
+from apex_edge.perception.regions import Region
 
 FORMAT = "apex-edge-colours"
 VERSION = 1
@@ -30,8 +34,8 @@ def compose(colours: Sequence[Mapping[str, Any]], made: Mapping[str, Any]) -> Di
     return documents.compose(FORMAT, VERSION, content, made)
 
 
-def read(path: Path) -> List[Dict[str, Any]]:
-    """Return the checked colours of a file, each as the arguments of a ``ColourModel``.
+def read(path: Path) -> List[Region]:
+    """Return the checked colours of a file.
 
     Raises
     ------
@@ -44,12 +48,14 @@ def read(path: Path) -> List[Dict[str, Any]]:
     return [_checked(colour, path) for colour in colours]
 
 
-def _checked(colour: Any, path: Path) -> Dict[str, Any]:
+def _checked(colour: Any, path: Path) -> Region:
     if not isinstance(colour, dict) or not isinstance(colour.get("name"), str):
         raise ColourError(f"{path}: a colour without a name")
     name = colour["name"]
     if not name.strip() or len(name) > 64:
         raise ColourError(f"{path}: colour name {name!r} must have 1 to 64 characters")
+    if "lab_min" in colour:
+        return _checked_range(colour, f"{path}: colour {name!r}")
     chroma = _numbers(colour.get("chroma"), 2, f"{path}: colour {name!r}: chroma")
     rows = colour.get("chroma_cov")
     if not isinstance(rows, list) or len(rows) != 2:
@@ -71,7 +77,15 @@ def _checked(colour: Any, path: Path) -> Dict[str, Any]:
                 f"{path}: colour {name!r}: {key} = {value} is outside [{low}, {high}]"
             )
         result[key] = value
-    return result
+    return ColourModel(**result)
+
+
+def _checked_range(colour: Mapping[str, Any], where: str) -> LabRange:
+    low = _numbers(colour.get("lab_min"), 3, f"{where}: lab_min")
+    high = _numbers(colour.get("lab_max"), 3, f"{where}: lab_max")
+    if not all(0.0 <= a <= b <= 255.0 for a, b in zip(low, high)):
+        raise ColourError(f"{where}: LAB {low} to {high} is not a range within 0..255")
+    return LabRange(colour["name"], (low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
 def _numbers(values: Any, count: int, where: str) -> List[float]:

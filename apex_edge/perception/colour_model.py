@@ -1,4 +1,4 @@
-"""What an object colour is: a Gaussian over chromaticity, and the 64 Ki table it fills.
+"""What a taught object colour is: a Gaussian over chromaticity.
 
 Shading leaves chromaticity alone, so brightness is weighted weakly. Source: ours; APEX says
 only "colour segmentation".
@@ -6,7 +6,7 @@ only "colour segmentation".
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Sequence, Tuple
+from typing import Tuple
 
 import numpy as np
 
@@ -39,6 +39,11 @@ class ColourModel:
     log_luma_sd: float
     gate: float = GATE_999
     floor: float = FLOOR
+
+    def claim(self) -> Tuple[Array, Array]:
+        """Return which words (65536,) are of the colour, and how likely each is (log density)."""
+        dist2, density = distance2(self, word_features())
+        return dist2 <= self.gate, density
 
 
 def features(bgr: Array) -> Array:
@@ -123,37 +128,14 @@ def distance2(model: ColourModel, points: Array) -> Tuple[Array, Array]:
     return dist2, density
 
 
+def word_bgr() -> Array:
+    """Return blue, green, red (65536, 3) at the middle of each word's cell."""
+    word = np.arange(N_WORDS)
+    blue, green, red = word & 31, (word >> 5) & 63, word >> 11
+    return np.column_stack([blue * 8 + 3.5, green * 4 + 1.5, red * 8 + 3.5])
+
+
 @lru_cache(maxsize=1)
 def word_features() -> Array:
     """Return ``features`` (65536, 3) at the middle of each word's cell."""
-    word = np.arange(N_WORDS)
-    blue, green, red = word & 31, (word >> 5) & 63, word >> 11
-    return features(np.column_stack([blue * 8 + 3.5, green * 4 + 1.5, red * 8 + 3.5]))
-
-
-def label_table(models: Sequence[ColourModel]) -> Array:
-    """Return the label, uint8 (65536,), of each BGR565 word: 0 background, i + 1 for models[i].
-
-    Where two colours claim a word the likelier one gets it.
-    """
-    points = word_features()
-    table = np.zeros(N_WORDS, dtype=np.uint8)
-    best = np.full(N_WORDS, -np.inf)
-    for label, model in enumerate(models, start=1):
-        dist2, density = distance2(model, points)
-        wins = (dist2 <= model.gate) & (density > best)
-        table[wins] = label
-        best[wins] = density[wins]
-    return table
-
-
-def coverage_table(model: ColourModel) -> Array:
-    """Return how much of a pixel of each BGR565 word is of the colour, uint8 (65536,), 255 = all.
-
-    A pixel on an outline mixes object and surroundings; its saturation along the object's hue
-    tells the share, where the surroundings are not of that hue.
-    """
-    chroma = np.asarray(model.chroma)
-    share = word_features()[:, :2] @ chroma / float(chroma @ chroma)
-    result: Array = np.rint(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8)
-    return result
+    return features(word_bgr())

@@ -21,10 +21,15 @@ _N_ROUNDS = 6
 # what covers an object lets go of the circle.
 _REACH, _LAST_REACH = 0.4, 0.2
 _COVERED = 0.85  # of its usual area; below, something hides a part of the object
+# A block never was round: a covered ball's outline is off its own circle by more, and the arc that
+# is left on the known circle by less (of a radius).
+_OWN_MISFIT, _ARC_MISFIT, _LEAST_ARC = 0.12, 0.06, 0.4
 _MIN_ARC = 0.2  # of a circle's outline
 _MIN_SPREAD = 0.05  # least eigenvalue of the arc's directions; 0.09 is an arc of 60 degrees
 _MAX_RESIDUAL = 0.15  # of a radius; a square's outline is 0.11 off its circle
-_MAX_STRAY = 0.25  # of the outline may belong to nothing expected
+# Of the outline may belong to nothing expected: of several objects little, of one that is covered
+# the whole edge of what covers it.
+_MAX_STRAY, _MAX_COVERED = 0.25, 0.5
 _SAME_PLACE = 0.5  # of a radius: two expected this near cannot be told apart
 _CHAIN = 5.66  # outline pixels of a circle, per radius
 STEP_S = 0.25
@@ -36,7 +41,9 @@ class Outlook(NamedTuple):
 
     ``name``, ``centre_px (n, 2)``, ``step_px (n, 2)`` what each moves within ``STEP_S``,
     ``radius_px (n,)``, ``is_there (n,)`` seen or hidden in the frame before: of a track missed for
-    longer nobody knows that it is not the very object found now; and the window ``box`` to look in.
+    longer nobody knows that it is not the very object found now; the window ``box`` to look in.
+    ``is_scaled`` says that the sizes are true at any distance: without a calibration a ball that is
+    smeared and farther away looks like one that is covered.
     """
 
     name: Tuple[str, ...]
@@ -45,6 +52,7 @@ class Outlook(NamedTuple):
     radius_px: Array
     is_there: Array
     box: Tuple[Box, ...]
+    is_scaled: bool
 
 
 def part(
@@ -110,11 +118,23 @@ def _gap(blob: Blob, centre: Array) -> float:
 def _completed(blob: Blob, outlook: Outlook, rows: List[int]) -> Blob:
     """Return the whole object of a blob that shows less of it than usual; else the blob."""
     radii = outlook.radius_px[rows]
-    is_covered = len(rows) == 1 and blob.area_px2 < _COVERED * np.pi * float(radii[0]) ** 2
+    is_one = outlook.is_scaled and len(rows) == 1
+    is_covered = is_one and blob.area_px2 < _COVERED * np.pi * float(radii[0]) ** 2
     if not is_covered or blob.touches_border:
         return blob
-    piece = _cut(blob, outlook.centre_px[rows], radii)[0]
-    return blob if piece is None else piece
+    outline, radius = blob.outline_px().astype(np.float64), float(radii[0])
+    own = np.linalg.norm(outline - np.array(blob.centre_px), axis=1)
+    if float(own.std()) < _OWN_MISFIT * float(own.mean()):
+        return blob
+    fitted, owner, is_visible = _fit(outline, outlook.centre_px[rows], radii)
+    arc = outline[owner == 0]
+    is_arc = is_visible[0] and len(arc) >= _LEAST_ARC * _CHAIN * radius
+    if not is_arc or np.mean(owner < 0) > _MAX_COVERED:
+        return blob
+    miss = np.linalg.norm(arc - fitted[0], axis=1) - radius
+    if float(np.sqrt(np.mean(miss * miss))) > _ARC_MISFIT * radius + 0.5:
+        return blob
+    return _piece(blob, fitted, radii, 0, arc)
 
 
 def _is_one_object(blob: Blob, outlook: Outlook, rows: List[int]) -> bool:

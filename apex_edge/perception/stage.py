@@ -9,6 +9,7 @@ from apex_edge.errors import InputError
 from apex_edge.perception import blobs, depth
 from apex_edge.perception.blobs import Blob, Box
 from apex_edge.perception.colour import ColourTable
+from apex_edge.perception.drift import DriftWatch
 from apex_edge.perception.settings import PerceptionConfig
 from apex_edge.perception.sharing import Outlook, part
 from apex_edge.perception.tracking import Tracker
@@ -35,6 +36,7 @@ class Perception:
         self._config = config
         self._colours = colours
         self._tracker = Tracker(config)
+        self.drift = DriftWatch(colours.models)
         self._last_t_s = -math.inf
         self._n_until_search = 0
 
@@ -65,6 +67,7 @@ class Perception:
             nothing = _detections(frame, [], self._colours, self._config)
             return nothing, self._tracker.coast(frame.seq, frame.t_s, frame.camera)
         detections = self._look(frame)
+        self.drift.see(frame.colour_bgr, detections)
         return detections, self._tracker.update(detections, frame.camera)
 
     def _look(self, frame: Frame) -> Detections:

@@ -86,6 +86,7 @@ class Tracker:
             radius_px=np.array([track.radius_px for track in self._tracks]),
             is_there=np.array([track.is_there for track in self._tracks], dtype=bool),
             box=tuple(boxes),
+            is_scaled=camera is not None,
         )
 
     def hide(self, rows: Set[int]) -> None:

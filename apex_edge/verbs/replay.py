@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             seen.see(step)
             progress.advance()
 
-        replay(kit, camera, on_step)
+        seen.colour_use = replay(kit, camera, on_step)
         seen.check(kit, args.source)
     outputs.report(f"Replay of {args.source.name}")
     _print_counts(args, seen, camera, outputs)
@@ -93,6 +93,7 @@ class Seen:
         self.n_interventions = 0
         self.n_seen: Dict[int, int] = {}
         self.names: Set[str] = set()
+        self.colour_use: Dict[str, float] = {}
 
     def see(self, step: Step) -> None:
         """Count one step."""
@@ -140,6 +141,7 @@ def _print_counts(
         "objects": sorted(seen.names),
         "tracks": len(seen.n_seen),
         "interventions": seen.n_interventions,
+        "colour_use": {name: round(used, 3) for name, used in seen.colour_use.items()},
         "out": str(args.out),
         "video": outputs.video.path.name,
     }

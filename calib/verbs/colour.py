@@ -13,6 +13,7 @@ from apex_edge.errors import ColourError
 from apex_edge.perception import colour_file
 from apex_edge.types import Array
 from calib import colour, files
+from calib.lab_import import read_ranges
 from calib.made import files_digest, made
 from calib.verdict import REFUSE
 
@@ -36,6 +37,11 @@ def add_arguments(teach: argparse.ArgumentParser) -> None:
     )
     teach.add_argument(
         "--background", metavar="FILE", help="picture of the same table without the objects"
+    )
+    teach.add_argument(
+        "--lab",
+        metavar="FILE",
+        help="take the sampled colours from HiWonder's lab_config.yaml, and only measure them",
     )
     teach.add_argument("--out", required=True, metavar="FILE", help="colour file to write")
     teach.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -76,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out)
     picture = files.read_picture(Path(args.image), args.frame)
     background = files.read_picture(Path(args.background)) if args.background else None
-    result = colour.solve(picture, args.sample, background)
+    ranges = read_ranges(Path(args.lab)) if args.lab else None
+    result = colour.solve(picture, args.sample, background, ranges)
     shown = out.with_suffix(".png")
     if shown in (out, Path(args.image), Path(args.background or args.image)):
         shown = out.with_name(out.stem + "-found.png")
@@ -114,13 +121,14 @@ def _lines(result: colour.ColourResult) -> List[str]:
 
 def _made(args: argparse.Namespace, result: colour.ColourResult) -> Dict[str, Any]:
     """Return what a reader needs to judge the file later."""
-    sources = [Path(args.image), *([Path(args.background)] if args.background else [])]
+    sources = [Path(name) for name in (args.image, args.background, args.lab) if name]
     return made(
         files_digest(sources),
         result.verdict,
         image=Path(args.image).name,
         frame=args.frame,
         background=Path(args.background).name if args.background else None,
+        lab_ranges=Path(args.lab).name if args.lab else None,
         samples=[[s.name, s.x_px, s.y_px, s.radius_px] for s in args.sample],
         quality=result.figures(),
     )
