@@ -22,7 +22,7 @@ from typing import IO, Any, Counter, Dict, Iterator, List, NamedTuple, Sequence,
 import numpy as np
 
 from apex_edge.verbs.progress import Progress
-from offline_train.benchmarks.perception import bad_files, bad_frames, judge
+from offline_train.benchmarks.perception import bad_calibrations, bad_files, bad_frames, judge
 from offline_train.benchmarks.perception.lines import Line, at_most
 
 N_CASES = 10_000
@@ -33,7 +33,8 @@ N_SHOWN = 12
 MADE_UP, UNHANDLED, CRASHED, HUNG = "made up", "unhandled exception", "crash", "hung"
 FAILURES = (MADE_UP, UNHANDLED, CRASHED, HUNG)
 _COSTLY = "command: replay"  # ten times the others
-_PLAIN = [*bad_frames.FRAME_CASES, *(n for n in bad_files.FILE_CASES if n != _COSTLY)]
+FILE_CASES = {**bad_files.FILE_CASES, **bad_calibrations.installed()}
+_PLAIN = [*bad_frames.FRAME_CASES, *(n for n in FILE_CASES if n != _COSTLY)]
 ROUND: Tuple[str, ...] = (*_PLAIN, *_PLAIN, _COSTLY)
 
 
@@ -59,7 +60,7 @@ def run_case(seed: int, index: int, folder: Path) -> Outcome:
         if kind in bad_frames.FRAME_CASES:
             return Outcome(index, kind, bad_frames.FRAME_CASES[kind](rng))
         bad_files.clear(folder)
-        return Outcome(index, kind, bad_files.FILE_CASES[kind](rng, folder))
+        return Outcome(index, kind, FILE_CASES[kind](rng, folder))
     except judge.MadeUp as finding:
         return Outcome(index, kind, MADE_UP, str(finding))
     except Exception as error:  # noqa: BLE001 - to find what nobody expects is what this is for
