@@ -14,11 +14,8 @@ from offline_train.benchmarks.perception.bad_files import USABLE, command
 
 N_POSES = 18
 MAX_OFF_M = 0.02
-HEADER = ",".join(
-    f"{side}_{part}"
-    for side in ("gripper", "target")
-    for part in ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]
-)
+_PARTS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+HEADER = ",".join(f"{side}_{part}" for side in ("gripper", "target") for part in _PARTS)
 CAM_M = (0.03, -0.02, 0.06)
 _ODD = ("nan", "inf", "", "x", "1e308", "0", "-1", "1,2", '"', "0.3.4", "1e-320", "5")
 
