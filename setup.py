@@ -75,6 +75,7 @@ setup(
             "video = apex_edge.cameras.video:VideoCamera",
             "folder = apex_edge.cameras.folder:FolderCamera",
             "live = apex_edge.cameras.live:LiveCamera",
+            "board = calib.simulated:BoardCamera",
         ],
         "apex_edge.triggers": [
             "analytic = apex_edge.triggers.analytic:AnalyticTrigger",
@@ -89,7 +90,10 @@ setup(
             "llm = apex_edge.planners.llm:LlmPlanner",
         ],
         "apex_edge.calibrations": [
+            "board = calib.verbs.board",
             "colour = calib.verbs.colour",
+            "intrinsics = calib.verbs.intrinsics",
+            "table = calib.verbs.table",
         ],
         "apex_edge.benches": [
             "latency = offline_train.benchmarks.latency",

@@ -18,7 +18,7 @@ Self = TypeVar("Self", bound="Camera")
 class CameraConfig:
     """Section ``[camera]`` of the settings file."""
 
-    type: str = setting("twin", "name of a registered camera: twin, mcap, video, folder, live")
+    type: str = setting("twin", "registered camera: twin, mcap, video, folder, live, board")
     path: str = setting("", "file, folder, V4L2 index or device, or HTTP-MJPEG URL")
     calibration: str = setting("", "camera calibration JSON; empty means what the source carries")
     width: int = setting(640, "requested picture width (px), live only", 16, 8192)

@@ -235,7 +235,8 @@ def _measure(solid: Array, group: Sequence[_Piece], view: _View) -> Optional[Blo
 
 def _erode(mask: Array) -> Array:
     """Take one pixel off a mask's rim; what lies beyond its array counts as outside."""
-    return cv2.erode(mask, _KERNEL, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    result: Array = cv2.erode(mask, _KERNEL, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return result
 
 
 def _is_inlay(blob: Blob, other: Blob) -> bool:

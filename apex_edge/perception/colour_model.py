@@ -132,7 +132,8 @@ def word_bgr() -> Array:
     """Return blue, green, red (65536, 3) at the middle of each word's cell."""
     word = np.arange(N_WORDS)
     blue, green, red = word & 31, (word >> 5) & 63, word >> 11
-    return np.column_stack([blue * 8 + 3.5, green * 4 + 1.5, red * 8 + 3.5])
+    result: Array = np.column_stack([blue * 8 + 3.5, green * 4 + 1.5, red * 8 + 3.5])
+    return result
 
 
 @lru_cache(maxsize=1)

@@ -80,4 +80,5 @@ def _inside(bgr: Array, box_px: Array) -> Array:
     """Return some pixels (n, 3) from the middle half of a box, clear of its rim."""
     x, y, w, h = (int(value) for value in box_px)
     inner = bgr[y + h // 4 : y + h - h // 4, x + w // 4 : x + w - w // 4].reshape(-1, 3)
-    return inner[:: max(1, len(inner) // 64)]
+    result: Array = inner[:: max(1, len(inner) // 64)]
+    return result

@@ -58,7 +58,10 @@ class Fit(NamedTuple):
     @property
     def acc(self) -> Array:
         """Return the acceleration (d,)."""
-        return self.held_acc + 2.0 * self.beta[2] if self.order == PARABOLA else self.held_acc
+        if self.order == LINE:
+            return self.held_acc
+        result: Array = self.held_acc + 2.0 * self.beta[2]
+        return result
 
 
 def points(samples: Sequence[Sample], sd: Array, stamp_sd_s: float) -> Points:

@@ -37,6 +37,10 @@ _NOISE_MARGIN = 1.4
 _SCALE_SD = 0.02  # of the speed: calibration, and a bias that changes along the way
 _LONE_DOUBT = 0.5  # of a first miss's square: as often an outlier as the start of something new
 _MIN_CURVED, _SURE_CURVED = 5, 3  # samples, and fits in a row, before a curve is remembered
+# Times the misfit that is agreement: surely a line; still nearer the truth than what went before.
+_PLAIN_LINE, _POOR_LINE = 0.35, 2.0
+_BORROWED_SD = 3.0
+_BENT = 4.0  # by which a bend once seen must fit better, 2 sd
 _FORGET = 10  # samples that a plain line explains, and the remembered acceleration is no more
 # Sd of a measured acceleration over sd(x) / sqrt(n) / T^2 is sqrt(720) = 26.8; real paths are
 # straighter than that more often than not.
@@ -241,7 +245,9 @@ class MotionEstimator(Estimator):
         scale = np.sqrt(1.0 + float(weights @ weights))
         self._noise.append(median(np.abs(miss).tolist()) / scale)
         if len(self._noise) >= _MIN_NOISE:
-            self._shown_sd = median(self._noise) / 0.6745
+            # a bounce spoils three of them: while they are few the stated noise has a say
+            stated = [0.6745 * sample.sd] * max(0, 2 * _MIN_NOISE - len(self._noise))
+            self._shown_sd = median([*self._noise, *stated]) / 0.6745
 
     def _note_innovation(self, sample: Sample) -> None:
         """Hold a new sighting against what was predicted of it."""
@@ -276,27 +282,35 @@ class MotionEstimator(Estimator):
     def _try_restart(self) -> None:
         """Start anew from the newest sightings once they agree among themselves.
 
-        Three on a line, of which the gate kept two or more out; one that it let in is given back
-        as soon as there are three without it. Four on a parabola must all have been kept out: two
-        before and two after a reversal lie on a perfect one, twice too fast.
+        Three on a line, of which the gate kept two or more out; one that it let in is given back as
+        soon as there are three without it. Five on a parabola, where three are no line, or a
+        doubtful one of what may be falling. Never four on a parabola: two before and two after a
+        reversal lie on a perfect one, twice too fast.
         """
-        newest = list(self._recent)
-        n_waiting = len(self._waiting)
-        is_line = n_waiting >= 2 and len(newest) >= 3 and self._agree(newest[-3:], LINE)
-        if is_line or n_waiting >= PAPER_WINDOW:
-            self._restart(newest[-3:])
-        elif n_waiting >= 4 and self._agree(newest[-4:], PARABOLA):
-            self._restart(newest[-4:])
+        newest, n_waiting = list(self._recent), len(self._waiting)
+        if n_waiting < 2 or len(newest) < 3:
+            return
+        bend = self._disagreement(newest[-3:], LINE)
+        doubtful = _PLAIN_LINE if self._rules.curve_sd > 0.0 else _POOR_LINE
+        is_curve = len(newest) == PAPER_WINDOW and self._disagreement(newest, PARABOLA) <= 1.0
+        if bend > doubtful and is_curve:
+            self._restart(newest)
+        elif n_waiting >= PAPER_WINDOW or bend <= _POOR_LINE:
+            first, *rest = newest[-3:]
+            if n_waiting == 2 and bend > _PLAIN_LINE:
+                first = first._replace(sd=_BORROWED_SD * first.sd)  # rather before than after it
+            self._restart([first, *rest])
 
     def _restart(self, samples: List[Sample]) -> None:
-        self._is_borrowed = len(samples) > len(self._waiting)
+        self._is_borrowed = 3 == len(samples) > len(self._waiting)
         self._window, self._waiting = list(samples), []
         self._n_since_manoeuvre = 0
 
-    def _agree(self, samples: List[Sample], order: int) -> bool:
+    def _disagreement(self, samples: List[Sample], order: int) -> float:
+        """Return the misfit of a few sightings over what is taken for agreement."""
         fit = self._straightest(samples) if order == LINE else self._solve(samples, order)
-        dim = fit.beta.shape[1]
-        return fit.misfit <= self._rules.gate_sigma**2 * _GATE_SHARE.get(dim, 1.5) * 0.6
+        most = self._rules.gate_sigma**2 * _GATE_SHARE.get(fit.beta.shape[1], 1.5) * 0.6
+        return fit.misfit / most
 
     def _refit(self) -> None:
         """Fit the window; while it does not hold together, drop what spoils it.
@@ -345,12 +359,10 @@ class MotionEstimator(Estimator):
     def _straightest(self, samples: List[Sample]) -> Fit:
         """Return a line, or while young one bent by the acceleration seen before a bounce."""
         line = self._solve(samples, LINE)
-        needed = _CURVED.get(line.beta.shape[1], 16.0)
-        is_young = 3 <= len(samples) <= _MIN_CURVED
-        if self._known_acc is None or not is_young or line.misfit <= needed:
+        if self._known_acc is None or not 3 <= len(samples) <= _MIN_CURVED:
             return line
         bent = self._solve(samples, LINE, self._known_acc)
-        return bent if bent.misfit < line.misfit else line
+        return bent if bent.misfit < line.misfit - _BENT else line
 
     def _note_acceleration(self, fit: Fit) -> None:
         """Remember what bends the path: gravity is the same after a bounce."""

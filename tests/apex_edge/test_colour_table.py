@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from apex_edge.errors import ColourError
-from apex_edge.perception import ColourTable, colour_file
+from apex_edge.perception import ColourTable, colour_file, lookup
 from apex_edge.twin.palette import PALETTE, SURROUNDINGS
 
 
@@ -169,3 +169,27 @@ def test_classification_costs_less_than_two_lab_ranges():
         assert best(lambda: table.classify(picture)) < best(ranges)
     finally:
         cv2.setNumThreads(n_threads)
+
+
+def test_every_way_of_looking_up_gives_the_same():
+    table = np.random.RandomState(0).randint(0, 256, lookup.N_WORDS).astype(np.uint8)
+    every_word = np.arange(lookup.N_WORDS, dtype=np.uint16).reshape(256, 256)
+    assert np.array_equal(lookup.look_up(table, every_word).ravel(), table)
+    assert np.array_equal(lookup.look_up_by_index(table, every_word).ravel(), table)
+
+
+def test_word_of_a_window_is_the_word_of_the_picture():
+    picture = np.random.RandomState(1).randint(0, 256, (40, 60, 3)).astype(np.uint8)
+    whole, window = lookup.words(picture), lookup.words(picture[5:30, 7:50])
+    assert np.array_equal(whole[5:30, 7:50], window)
+
+
+@pytest.mark.parametrize(
+    "change", [{"lab_min": [0, 0]}, {"lab_min": [0, 0, 256]}, {"lab_max": [1, 2, "x"]}]
+)
+def test_range_outside_lab_is_refused(tmp_path, change):
+    colour = {"name": "red", "lab_min": [0, 10, 20], "lab_max": [255, 200, 220], **change}
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(colour_file.compose([colour], {})))
+    with pytest.raises(ColourError, match="LAB|lab_m"):
+        ColourTable.load(path)

@@ -111,6 +111,77 @@ def test_bounce_is_flagged_while_it_is_young_and_not_later():
     assert not before.is_manoeuvre
 
 
+@pytest.mark.parametrize("phase", [0.1, 0.3, 0.5, 0.7])
+def test_bounce_between_two_frames_is_no_parabola(phase):
+    def points(rng):
+        t = np.arange(14) * DT
+        x = 400.0 * np.abs(t - (10 + phase) * DT)
+        return np.column_stack([x, 100.0 * t]) + rng.normal(0.0, 0.5, (len(t), 2))
+
+    found, _ = errors(points, np.array([400.0, 100.0]), 60)
+    assert rms(found) <= 25.0
+
+
+def test_outlier_in_a_young_track_is_dropped_again():
+    truth = np.array([400.0, -100.0])
+    for where in range(4):
+
+        def points(rng, where=where):
+            path = line(9, truth, 0.5, rng)
+            path[where] += (40.0, -40.0)
+            return path
+
+        found, _ = errors(points, truth, 60)
+        assert rms(found) <= 8.0
+
+
+def test_gravity_is_remembered_over_a_bounce():
+    def fall(t):
+        # bounces every 0.4 s under 4000 px/s^2, as a ball close to a camera does
+        within = np.mod(t, 0.4)
+        return np.column_stack([100.0 * t, 2000.0 * within**2 - 800.0 * within])
+
+    misses = []
+    for seed in range(40):
+        rng = np.random.RandomState(seed)
+        estimator = MotionEstimator(PX._replace(curve_sd=3000.0))
+        start_s = rng.uniform(0.0, 0.4)
+        for i in range(40):
+            t_s = start_s + i * DT
+            if np.mod(t_s, 0.4) > 4.2 * DT and i > 20:
+                misses.append(estimator.predict(t_s).x - fall(np.array([t_s]))[0])
+            estimator.add(t_s, fall(np.array([t_s]))[0] + rng.normal(0.0, 0.5, 2), 0.5)
+    # a line through three of them is off by 1.7 a dt^2 = 7.5 px one frame on
+    assert rms(misses) <= 3.0
+
+
+def test_first_miss_is_doubted_and_an_outlier_forgotten_again():
+    estimator = follow(line(12, (400.0, 0.0), 0.5, np.random.RandomState(0)))
+    sure = np.sqrt(estimator.predict(11 * DT).cov[0, 0])
+    estimator.add(12 * DT, np.array([400.0 * 12 * DT + 40.0, 0.0]), 0.5)
+    doubt = np.sqrt(estimator.predict(12 * DT).cov[0, 0])
+    estimator.add(13 * DT, np.array([400.0 * 13 * DT, 0.0]), 0.5)
+    again = np.sqrt(estimator.predict(13 * DT).cov[0, 0])
+    assert doubt >= 15.0 and again <= 3.0 * sure
+
+
+def test_noise_smaller_than_stated_is_said_so():
+    estimator = follow(line(30, (50.0, 20.0), 0.05, np.random.RandomState(0)))
+    assert 0.025 <= estimator.noise_sd(0.5) <= 0.12
+    assert follow(line(4, (50.0, 20.0), 0.05, np.random.RandomState(0))).noise_sd(0.5) == 0.5
+
+
+def test_sightings_that_disagree_with_their_noise_widen_the_covariance():
+    def sd(wobble):
+        rng = np.random.RandomState(3)
+        path = line(40, (50.0, 20.0), 0.5, rng)
+        # slower than the noise is looked for, so that only the innovations can tell
+        path[:, 0] += wobble * np.sin(np.arange(40) * 1.3)
+        return float(np.sqrt(follow(path).predict(39 * DT).cov[0, 0]))
+
+    assert sd(6.0) >= 3.0 * sd(0.0)
+
+
 def test_curved_path_gives_acceleration_and_the_slope_at_its_end():
     def points(rng):
         t = np.arange(15) * DT

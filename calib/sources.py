@@ -1,0 +1,149 @@
+"""Where a calibration's pictures come from: files, or a live camera with advice on what to show."""
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
+
+import cv2
+
+from apex_edge import plugins
+from apex_edge.cameras.base import Camera, CameraConfig
+from apex_edge.config import read_toml, structure
+from apex_edge.errors import CalibrationError, ConfigError
+from apex_edge.types import Array
+from apex_edge.verbs.progress import Progress
+from calib.boards import Board
+from calib.collect import KEPT, Advice, Collector
+from calib.detect import View, detect
+from calib.files import encode_png, read_picture, write_whole
+from calib.lens_picture import coverage_picture
+from calib.made import data_digest, files_digest
+
+PREVIEW_S = 0.5
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Views of a board, the pictures' size, their hash, and the pictures without a board."""
+
+    views: Tuple[View, ...]
+    size_px: Tuple[int, int]
+    data_sha256: str
+    not_found: Tuple[str, ...]
+
+
+def from_files(paths: Sequence[Path], board: Board) -> Source:
+    """Look for the board in pictures.
+
+    Raises
+    ------
+    RecordingError : a picture that cannot be read.
+    """
+    views: List[View] = []
+    sizes: List[Tuple[int, int]] = []
+    with Progress("pictures", len(paths)) as progress:
+        for path in paths:
+            picture = read_picture(path)
+            sizes.append((picture.shape[1], picture.shape[0]))
+            view = detect(picture, board, path.name)
+            if view is not None:
+                views.append(view)
+            progress.advance()
+    found = {view.name for view in views}
+    return Source(
+        views=tuple(views),
+        size_px=max(sizes, key=sizes.count),  # so that the odd one out is named
+        data_sha256=files_digest(paths),
+        not_found=tuple(path.name for path in paths if path.name not in found),
+    )
+
+
+def camera_settings(config: Optional[str], kind: Optional[str], path: Optional[str]) -> Any:
+    """Return the [camera] settings of a file, or the defaults, with kind and path replaced.
+
+    Raises
+    ------
+    ConfigError : the file cannot be used, or names the twin, which shows no board.
+    """
+    values = read_toml(config).get("camera", {}) if config is not None else {}
+    if not isinstance(values, dict):
+        raise ConfigError(f"{config}: camera must be a table, found {values!r}")
+    settings = structure(CameraConfig, values, f"{config} [camera]")
+    # an older calibration would only be checked against the new one's picture size
+    settings = replace(settings, calibration="", type=kind or settings.type)
+    settings = replace(settings, path=settings.path if path is None else path)
+    if settings.type == "twin":
+        raise ConfigError("camera type 'twin' shows no board; type 'board' simulates one")
+    return settings
+
+
+def frames(settings: CameraConfig) -> Iterator[Tuple[float, Array]]:
+    """Yield capture time and picture (h, w, 3) of a camera until it ends."""
+    camera: Camera = plugins.load("cameras", settings.type)(settings)
+    with camera:
+        while True:
+            frame = camera.read(settings.timeout_s)
+            if frame is None:
+                return
+            yield frame.t_s, frame.colour_bgr
+
+
+def from_camera(settings: CameraConfig, board: Board, preview: Path, tell: Tell) -> Source:
+    """Collect views until nothing is missing or the source ends.
+
+    Parameters
+    ----------
+    preview : picture that shows what the camera sees and what is covered; gone at the end.
+    tell : gets a line whenever there is something new to say.
+    """
+    collector = Collector(board)
+    size_px, last_line, next_s = (0, 0), "", float("-inf")
+    try:
+        for t_s, picture in frames(settings):
+            size_px = (picture.shape[1], picture.shape[0])
+            advice = collector.step(picture)
+            line = f"{advice.n_kept} views; {advice.state}; {advice.hint or 'complete'}"
+            if line != last_line:
+                tell(grid_text(advice) + line if advice.state == KEPT else line)
+                last_line = line
+            if advice.state == KEPT or t_s >= next_s:
+                write_whole({preview: encode_png(_preview(picture, advice, line))})
+                next_s = t_s + PREVIEW_S
+            if advice.is_complete:
+                break
+    finally:
+        if preview.is_file():
+            preview.unlink()
+    if not collector.views:
+        raise CalibrationError(f"the camera showed the board {board.name} in no frame, held still")
+    corners = (view.corners_px.tobytes() for view in collector.views)
+    return Source(tuple(collector.views), size_px, data_digest(corners), ())
+
+
+def to_stderr(line: str) -> None:
+    """Say a line where ``--json`` does not read."""
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()
+
+
+def grid_text(advice: Advice) -> str:
+    """Return the 5 x 5 grid as text, ``#`` where corners were seen."""
+    rows = ["".join(" #" if count else " ." for count in row) for row in advice.coverage]
+    return "\n".join(rows) + "\n"
+
+
+def _preview(picture: Array, advice: Advice, line: str) -> Array:
+    """Return the frame with the found corners, tinted by what is covered, and the advice."""
+    height, width = picture.shape[:2]
+    shown: Array = cv2.addWeighted(
+        picture, 0.7, coverage_picture(advice.coverage, (width, height)), 0.3, 0.0
+    )
+    if advice.view is not None:
+        for x, y in advice.view.corners_px:
+            cv2.circle(shown, (round(x), round(y)), 3, (60, 190, 250), -1, cv2.LINE_AA)
+    place = (8, height - 10)
+    cv2.putText(shown, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (20, 20, 20), 3, cv2.LINE_AA)
+    cv2.putText(shown, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (250, 250, 250), 1, cv2.LINE_AA)
+    return shown
