@@ -25,6 +25,7 @@ N_DIST = 5
 MAX_SIDE_PX = 65535
 MAX_FOLD_PX = 2.0  # strong but real lenses reach 0.9 at the corners (k1 -0.4, f 0.8 of the width)
 MAX_AWAY_M = 100.0
+FOCAL_SIDES = (0.02, 200.0)  # of the longer side: from a view all around to a telescope
 
 
 def camera_document(camera: Intrinsics, made: Mapping[str, Any]) -> Dict[str, Any]:
@@ -138,9 +139,13 @@ def _check_lens(lens: Intrinsics, where: str) -> None:
     sides = (lens.width_px, lens.height_px)
     if not all(1 <= side <= MAX_SIDE_PX for side in sides):
         raise CalibrationError(f"{where}: picture size {sides} is outside 1..{MAX_SIDE_PX}")
+    least, most = (factor * max(sides) for factor in FOCAL_SIDES)
     # written so that NaN fails as well
-    if not (0 < lens.fx_px < np.inf and 0 < lens.fy_px < np.inf):
-        raise CalibrationError(f"{where}: focal lengths must be positive numbers")
+    if not (least <= lens.fx_px <= most and least <= lens.fy_px <= most):
+        raise CalibrationError(
+            f"{where}: focal lengths {lens.fx_px:g}, {lens.fy_px:g} px are outside "
+            f"[{least:g}, {most:g}] for a picture of {sides[0]}x{sides[1]}"
+        )
     if not np.isfinite([lens.cx_px, lens.cy_px]).all():
         raise CalibrationError(f"{where}: the principal point is not finite")
     if lens.dist.shape != (N_DIST,) or not np.isfinite(lens.dist).all():

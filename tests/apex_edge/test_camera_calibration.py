@@ -93,6 +93,8 @@ def test_lens_without_a_pose_is_kept_and_says_what_is_missing(tmp_path):
 @pytest.mark.parametrize(
     "change, message",
     [
+        ({"fx_px": 1e308}, "focal lengths"),
+        ({"fy_px": 1e-6}, "focal lengths"),
         ({"dist": np.array([-1.0, 0.0, 0.0, 0.0, 0.0])}, "cannot be undone"),
         ({"dist": np.array([0.0, 0.0, 0.0, 0.0, 1e308])}, "cannot be undone"),
         ({"table_from_cam": np.array(np.eye(4)) + np.eye(4, k=3) * 1e9}, "over 100 m"),

@@ -23,7 +23,7 @@ from apex_edge.types import Array, Detections, Frame, Tracks, TrackStatus
 
 HUE_STEPS = 22.0  # of OpenCV's 180
 LEAST_SATURATION, LEAST_VALUE = 40, 16
-LEAST_SHARE = 0.25  # of the area that is claimed
+LEAST_SHARE = 0.25  # of the area that is claimed; of a covered ball the least region will do
 RAY_PX = 3.0
 
 
@@ -62,7 +62,7 @@ def check(frame: Frame, detections: Detections, tracks: Tracks, config: Percepti
         _check_state(frame, tracks, i, status)
         if status == TrackStatus.SEEN and not frame.is_repeated:
             n_seen += 1
-            _check_colour(frame, detections, tracks, i)
+            _check_colour(frame, detections, tracks, i, config.min_area_px2)
     if frame.camera is not None:
         _check_places(frame, detections, config)
     return n_seen
@@ -100,7 +100,9 @@ def _row(detections: Detections, tracks: Tracks, i: int) -> Optional[int]:
     return None
 
 
-def _check_colour(frame: Frame, detections: Detections, tracks: Tracks, i: int) -> None:
+def _check_colour(
+    frame: Frame, detections: Detections, tracks: Tracks, i: int, least_px2: float
+) -> None:
     row = _row(detections, tracks, i)
     if row is None:
         # the frame repeats the capture time of the one before: nothing new was looked at
@@ -110,7 +112,7 @@ def _check_colour(frame: Frame, detections: Detections, tracks: Tracks, i: int) 
     crop = frame.colour_bgr[max(0, y) : y + h, max(0, x) : x + w]
     n_true = n_coloured(crop, tracks.name[i]) if crop.size else 0
     _expect(
-        n_true >= LEAST_SHARE * detections.area_px2[row],
+        n_true >= min(LEAST_SHARE * float(detections.area_px2[row]), least_px2),
         f"{tracks.name[i]} of {detections.area_px2[row]:.0f} px^2 seen at {x},{y} {w}x{h}, "
         f"where {n_true} pixels have that hue",
     )
