@@ -20,6 +20,7 @@ LUMA_SD = 0.45  # of log brightness: a factor of 0.5 to 2 costs little
 HUE_SD_RAD = 0.05  # white balance drifts by about this much
 SATURATION_SD = 0.2  # relative: motion blur mixes the background in
 FLOOR = 0.5  # least share of the model's own saturation
+_LEAST_HUE = 3.0 * NOISE_COUNTS  # between the strongest and the weakest channel
 _DARK = 15.0  # keeps the chromaticity of near-black pixels from exploding
 
 
@@ -43,7 +44,7 @@ class ColourModel:
     def claim(self) -> Tuple[Array, Array]:
         """Return which words (65536,) are of the colour, and how likely each is (log density)."""
         dist2, density = distance2(self, word_features())
-        return dist2 <= self.gate, density
+        return (dist2 <= self.gate) & has_hue(), density
 
 
 def features(bgr: Array) -> Array:
@@ -140,3 +141,14 @@ def word_bgr() -> Array:
 def word_features() -> Array:
     """Return ``features`` (65536, 3) at the middle of each word's cell."""
     return features(word_bgr())
+
+
+@lru_cache(maxsize=1)
+def has_hue() -> Array:
+    """Say which words (65536,) differ enough between their channels for noise not to have made it.
+
+    Near black every hue is within the noise; shadows and damaged pictures are full of it.
+    """
+    bgr = word_bgr()
+    result: Array = bgr.max(axis=1) - bgr.min(axis=1) >= _LEAST_HUE
+    return result

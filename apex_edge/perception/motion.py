@@ -45,6 +45,7 @@ _FORGET = 10  # samples that a plain line explains, and the remembered accelerat
 # Sd of a measured acceleration over sd(x) / sqrt(n) / T^2 is sqrt(720) = 26.8; real paths are
 # straighter than that more often than not.
 _UNNOTICED = 16.0
+_LEAST_STEP_S = 1e-6  # between two sightings; no camera is faster
 _CHANGE_S = 1.5  # mean time between changes of motion on a table
 # Innovations are held against what was predicted of them, and the covariance grows with their mean
 # square, capped so that an outlier or a bounce counts as little more than a poor sighting.
@@ -104,7 +105,7 @@ class MotionEstimator(Estimator):
 
     def add(self, t_s: float, x: Array, sd: float) -> None:
         """Take a sighting at capture time ``t_s``; one not newer than the last is ignored."""
-        if not t_s > self.last_t_s or not np.all(np.isfinite(x)):
+        if not t_s - self.last_t_s > _LEAST_STEP_S or not np.all(np.isfinite(x)):
             return
         if t_s - self.last_t_s > self._rules.max_gap_s:
             self.clear()

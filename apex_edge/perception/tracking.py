@@ -58,10 +58,11 @@ class Tracker:
 
         The box it had, moved along, plus three standard deviations and room for a bounce.
         """
-        self._begin(camera)
+        self._begin(t_s, camera)
         size = np.array([shape[1], shape[0]])
         middles, steps, boxes = [], [], []
-        for track in self._tracks:
+        tracks = self._alive()
+        for track in tracks:
             state = track.motion.predict(t_s)
             middle, scale = self._in_picture(state, camera)
             dim = len(state.x)
@@ -80,25 +81,26 @@ class Tracker:
             moved = state._replace(x=state.x + STEP_S * state.v)
             steps.append(self._in_picture(moved, camera)[0] - middle)
         return Outlook(
-            name=tuple(track.name for track in self._tracks),
+            name=tuple(track.name for track in tracks),
             centre_px=np.array(middles).reshape(-1, 2),
             step_px=np.array(steps).reshape(-1, 2),
-            radius_px=np.array([track.radius_px for track in self._tracks]),
-            is_there=np.array([track.is_there for track in self._tracks], dtype=bool),
+            radius_px=np.array([track.radius_px for track in tracks]),
+            is_there=np.array([track.is_there for track in tracks], dtype=bool),
             box=tuple(boxes),
             is_scaled=camera is not None,
         )
 
     def hide(self, rows: Set[int]) -> None:
         """Note which tracks (rows of the outlook) are hidden in a blob they share."""
-        for row, track in enumerate(self._tracks):
+        for row, track in enumerate(self._alive()):
             track.is_hidden = row in rows
 
     def are_all_in(self, detections: Detections, windows: Sequence[Box]) -> bool:
         """Say whether each live track's window holds a sighting of its colour."""
-        if len(self._tracks) != len(windows):
+        tracks = self._alive()
+        if len(tracks) != len(windows):
             return False
-        for track, (x0, y0, x1, y1) in zip(self._tracks, windows):
+        for track, (x0, y0, x1, y1) in zip(tracks, windows):
             if not any(
                 name == track.name and x0 <= x < x1 and y0 <= y < y1
                 for name, (x, y) in zip(detections.name, detections.centre_px)
@@ -108,7 +110,7 @@ class Tracker:
 
     def update(self, detections: Detections, camera: Optional[CameraModel]) -> Tracks:
         """Take the sightings of one frame and return every track at its capture time."""
-        self._begin(camera)
+        self._begin(detections.t_s, camera)
         sightings = self._sightings(detections, camera)
         found = self._associate(detections, sightings)
         for index, track in enumerate(self._tracks):
@@ -125,23 +127,31 @@ class Tracker:
 
     def coast(self, seq: int, t_s: float, camera: Optional[CameraModel]) -> Tracks:
         """Return every track at ``t_s`` without a new picture: nothing is SEEN in it."""
-        self._begin(camera)
-        for track in self._tracks:
+        self._begin(t_s, camera)
+        for track in self._alive():
             if t_s > track.last.t_s:
                 self._miss(track, t_s)
         return self._report(seq, t_s, camera)
 
-    def _begin(self, camera: Optional[CameraModel]) -> None:
+    def _begin(self, t_s: float, camera: Optional[CameraModel]) -> None:
+        """Give up what was seen too long ago for anything to be said of it at ``t_s``."""
         dim = 2 if camera is None else 3
         if dim != self._dim:
             self._dim = dim
             self._tracks = []
+        for track in self._tracks:
+            if not 0.0 <= t_s - track.last.t_s <= self._patience_s(track):
+                track.status = TrackStatus.LOST
+
+    def _alive(self) -> List[Track]:
+        return [track for track in self._tracks if track.status != TrackStatus.LOST]
+
+    def _patience_s(self, track: Track) -> float:
+        return self._config.max_hidden_s if track.is_hidden else self._config.max_miss_s
 
     def _miss(self, track: Track, t_s: float) -> None:
         """Carry on a track that this frame does not show, or give it up."""
-        config = self._config
-        patience_s = config.max_hidden_s if track.is_hidden else config.max_miss_s
-        if t_s - track.last.t_s > patience_s:
+        if t_s - track.last.t_s > self._patience_s(track):
             track.status = TrackStatus.LOST
         elif track.status != TrackStatus.LOST:
             track.status = TrackStatus.PREDICTED
