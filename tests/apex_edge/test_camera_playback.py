@@ -212,15 +212,20 @@ def test_calibration_file_changed_by_hand_is_refused(tmp_path):
 def test_picture_that_counts_as_decoded_but_is_not_there_ends_the_video(tmp_path, monkeypatch):
     path = write_video(tmp_path / "a.avi", [record_steps.picture(i) for i in range(6)])
 
-    class Damaged(cv2.VideoCapture):
+    class Damaged:
         """What OpenCV does with some damaged MJPG frames."""
 
-        n_asked = 0
+        def __init__(self, name):
+            self.sound, self.n_asked = sound(name), 0
+
+        def __getattr__(self, name):
+            return getattr(self.sound, name)
 
         def retrieve(self):
             self.n_asked += 1
-            return super().retrieve() if self.n_asked < 3 else (True, None)
+            return self.sound.retrieve() if self.n_asked < 3 else (True, None)
 
+    sound = cv2.VideoCapture
     monkeypatch.setattr(cv2, "VideoCapture", Damaged)
     with pytest.raises(RecordingError, match="2 of 6 frames"):
         read_all(play(path))
