@@ -46,6 +46,12 @@ setup(
     extras_require={
         "train": ["scikit-learn>=1.0"],
         "offline": ["scikit-learn>=1.0", "mujoco>=2.3", "joblib>=1.2", "matplotlib>=3.5"],
+        # drivers of depth cameras: docs/depth-cameras.md says which machine has a package
+        "realsense": ["pyrealsense2>=2.50"],
+        "oak": ["depthai>=2.24,<3"],
+        "orbbec": ['pyorbbecsdk2>=2.0; python_version >= "3.8"'],
+        # better from apt, beside the libcamera that it must fit: python3-picamera2
+        "picamera": ['picamera2>=0.3.20; python_version >= "3.9"'],
         "hiwonder": ["pyyaml>=5.3"],
         "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1", "pyyaml>=5.3"],
         "lint": [
@@ -75,6 +81,10 @@ setup(
             "video = apex_edge.cameras.video:VideoCamera",
             "folder = apex_edge.cameras.folder:FolderCamera",
             "live = apex_edge.cameras.live:LiveCamera",
+            "realsense = apex_edge.cameras.realsense:RealSenseCamera",
+            "oak = apex_edge.cameras.oak:OakCamera",
+            "orbbec = apex_edge.cameras.orbbec:OrbbecCamera",
+            "picamera2 = apex_edge.cameras.picamera2:Picamera2Camera",
             "board = calib.simulated:BoardCamera",
         ],
         "apex_edge.triggers": [
@@ -94,11 +104,15 @@ setup(
             "colour = calib.verbs.colour",
             "intrinsics = calib.verbs.intrinsics",
             "table = calib.verbs.table",
+            "hand-eye = calib.verbs.hand_eye",
+            "servo = calib.verbs.servo",
+            "latency = calib.verbs.latency",
         ],
         "apex_edge.benches": [
             "latency = offline_train.benchmarks.latency",
             "perception = offline_train.benchmarks.perception",
             "rollout = offline_train.benchmarks.rollout",
+            "hand-eye = offline_train.benchmarks.hand_eye",
         ],
     },
 )

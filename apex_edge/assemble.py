@@ -23,15 +23,8 @@ from apex_edge.twin.scene import Scenario
 from apex_edge.twin.world import TwinWorld
 from apex_edge.types import Candidates
 from firmware_bridge.kinematics import ArmModel
+from firmware_bridge.ready import ArmConfig
 from firmware_bridge.session import ArmSession
-
-
-@dataclass(frozen=True)
-class ArmConfig:
-    """Section ``[arm]``: which arm, on which port."""
-
-    type: str = setting("armpi-mini", "arm data file shipped with the bridge, or a path to one")
-    port: str = setting("", "serial port or URL, empty: watch only; a twin brings its own arm")
 
 
 @dataclass(frozen=True)

@@ -139,6 +139,23 @@ class ArmModel:
         result: Array = self.forward(q_rad)[:, 3]
         return result
 
+    def gripper_pose(self, q_rad: Array) -> Array:
+        """Return base_from_gripper (n, 4, 4) for joints (n, k).
+
+        The gripper's origin is the closed tip, its x points out along the hand, y to the left, and
+        z up when the hand is level.
+        """
+        q = np.atleast_2d(np.asarray(q_rad, dtype=np.float64))
+        yaw, pitch = q[:, 0], q[:, 1] - q[:, 2] + q[:, 3]
+        level = np.zeros(len(q))
+        out = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)])
+        left = np.stack([-np.sin(yaw), np.cos(yaw), level])
+        result = np.zeros((len(q), 4, 4))
+        result[:, :3, 0], result[:, :3, 1] = out.T, left.T
+        result[:, :3, 2] = np.cross(out.T, left.T)
+        result[:, :3, 3], result[:, 3, 3] = self.tip(q), 1.0
+        return result
+
     def inverse(self, tip_m: Array) -> Tuple[Array, Array]:
         """Find joints for tips (n, 3): gripper as near to pointing straight down as feasible.
 

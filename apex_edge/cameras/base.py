@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Callable, ClassVar, Optional, Type, TypeVar
 
 from apex_edge.config import setting
-from apex_edge.types import Frame
+from apex_edge.types import Frame, Intrinsics
 
 Self = TypeVar("Self", bound="Camera")
 
@@ -18,13 +18,23 @@ Self = TypeVar("Self", bound="Camera")
 class CameraConfig:
     """Section ``[camera]`` of the settings file."""
 
-    type: str = setting("twin", "registered camera: twin, mcap, video, folder, live, board")
-    path: str = setting("", "file, folder, V4L2 index or device, or HTTP-MJPEG URL")
+    type: str = setting(
+        "twin",
+        "name of a registered camera: twin; mcap, video, folder (recordings); live (V4L2 or HTTP), "
+        "realsense, oak, orbbec, picamera2; board (simulated, for calibration)",
+    )
+    path: str = setting(
+        "",
+        "file or folder; V4L2 index, device or HTTP-MJPEG URL; serial number of a depth camera "
+        "(empty: the first found); number of a Pi camera",
+    )
     calibration: str = setting("", "camera calibration JSON; empty means what the source carries")
-    width: int = setting(640, "requested picture width (px), live only", 16, 8192)
-    height: int = setting(480, "requested picture height (px), live only", 16, 8192)
+    width: int = setting(640, "requested picture width (px), live cameras", 16, 8192)
+    height: int = setting(480, "requested picture height (px), live cameras", 16, 8192)
     fps: float = setting(30.0, "requested or assumed frame rate (Hz)", 0.1, 1000.0)
-    latency_s: float = setting(0.0, "calibrated time from exposure to grab return (s)", 0.0, 2.0)
+    latency_s: float = setting(
+        0.0, "calibrated time from exposure to arrival (s), for stamps of arrival", 0.0, 2.0
+    )
     max_age_s: float = setting(0.2, "a live frame older than this is stale (s)", 0.001, 10.0)
     timeout_s: float = setting(
         2.0, "a live camera silent for this long has stalled (s)", 0.05, 60.0
@@ -54,6 +64,8 @@ class Camera(ABC):
     """
 
     type: ClassVar[str] = ""
+    is_live: ClassVar[bool] = False
+    """Shows what is there now, so that a real arm may move for it."""
 
     def __init__(self) -> None:
         """Start with all counters at zero."""
@@ -63,6 +75,11 @@ class Camera(ABC):
     def stats(self) -> CameraStats:
         """Return the counters so far (a live object, not a copy)."""
         return self._stats
+
+    @property
+    def intrinsics(self) -> Optional[Intrinsics]:
+        """Return the lens as the maker measured it; None when the source does not say."""
+        return None
 
     @abstractmethod
     def open(self) -> None:

@@ -4,6 +4,7 @@
 
     FOLDER/*.png|jpg|...     colour, in order of name
     FOLDER/depth/STEM.png    optional, 16-bit grey, millimetres (0 hole, 65535 saturated)
+    FOLDER/depth/unit_m.txt  optional, metres per count where that is not 0.001, as 0.0002
     FOLDER/timestamps.csv    optional (or .txt), lines ``name,t_s``; then the times give the order
     FOLDER/camera.json       optional calibration
 """
@@ -15,13 +16,17 @@ from typing import Dict, List, Optional, Tuple
 import cv2
 import numpy as np
 
+from apex_edge.cameras.base import CameraConfig
 from apex_edge.cameras.calibration import load_camera
+from apex_edge.cameras.depth_unit import MM_M, to_mm
 from apex_edge.cameras.playback import Frames, PlaybackCamera
 from apex_edge.errors import RecordingError
 from apex_edge.pictures import decode
 from apex_edge.types import Array, Frame
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+UNIT_FILE = "unit_m.txt"
+MAX_UNIT_M = 1.0
 TIMESTAMP_FILES = ("timestamps.csv", "timestamps.txt")
 
 
@@ -29,6 +34,11 @@ class FolderCamera(PlaybackCamera):
     """Play a folder of pictures; without a timestamps file at the configured frame rate."""
 
     type = "folder"
+
+    def __init__(self, config: CameraConfig) -> None:
+        """Remember the settings; nothing is opened yet."""
+        super().__init__(config)
+        self._unit_m = MM_M
 
     def _start(self) -> Frames:
         if not self._path.is_dir():
@@ -40,6 +50,8 @@ class FolderCamera(PlaybackCamera):
         if not pictures:
             raise RecordingError(f"{self._path}: holds no pictures ({' '.join(SUFFIXES)})")
         timed = self._with_times(pictures)
+        unit_file = self._path / "depth" / UNIT_FILE
+        self._unit_m = read_unit(unit_file) if unit_file.is_file() else MM_M
         calibration = self._path / "camera.json"
         if self._model is None and calibration.is_file():
             self._model = load_camera(calibration)
@@ -69,7 +81,28 @@ class FolderCamera(PlaybackCamera):
                 f"{file}: depth is {depth.dtype} {depth.shape}, "
                 f"expected uint16 {colour.shape[:2]} as the colour picture"
             )
-        return depth
+        return to_mm(depth, self._unit_m)
+
+
+def read_unit(path: Path) -> float:
+    """Read the unit of depth pictures, metres per count.
+
+    Raises
+    ------
+    RecordingError : the file cannot be read or holds anything but one such number.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: cannot read: {error}") from error
+    unit_m = _number(text)
+    # written so that NaN fails as well
+    if not 0.0 < unit_m <= MAX_UNIT_M:
+        raise RecordingError(
+            f"{path}: expected metres per count of the depth pictures, in (0, {MAX_UNIT_M:g}], "
+            f"as 0.0002; found {text[:40]!r}"
+        )
+    return unit_m
 
 
 def read_timestamps(path: Path) -> Dict[str, float]:

@@ -1,24 +1,18 @@
 """Cameras that deliver now: V4L2 devices and HTTP-MJPEG streams, through OpenCV.
 
-A thread grabs; the newest frame wins. The capture time is when the grab returned, less the
-calibrated latency, never when somebody came to read the frame.
+The capture time is when the grab returned, less the calibrated latency, never when somebody came
+to read the frame.
 """
 
-import logging
-import threading
 import time
 from pathlib import Path
 from typing import Any, Callable, Optional
 
 import cv2
 
-from apex_edge.cameras.base import Camera, CameraConfig, NewestSlot
-from apex_edge.cameras.calibration import check_size, load_camera
-from apex_edge.cameras.playback import is_same_picture
+from apex_edge.cameras.base import CameraConfig
+from apex_edge.cameras.grabbing import Clock, GrabbingCamera, Shot, Source
 from apex_edge.errors import CameraError
-from apex_edge.types import Array, CameraModel, Frame
-
-LOG = logging.getLogger(__name__)
 
 Capture = Any
 """What cv2.VideoCapture offers: isOpened, set, get, grab, retrieve, release."""
@@ -44,7 +38,54 @@ def open_capture(config: CameraConfig) -> Capture:
     return capture
 
 
-class LiveCamera(Camera):
+class CaptureSource(Source):
+    """Grab through OpenCV."""
+
+    def __init__(
+        self, config: CameraConfig, clock: Clock, opener: Callable[[CameraConfig], Capture]
+    ) -> None:
+        """Remember the settings; ``opener`` opens the capture."""
+        self._config, self._clock, self._opener = config, clock, opener
+        self._capture: Optional[Capture] = None
+
+    def open(self) -> None:
+        """Open the device.
+
+        Raises
+        ------
+        CameraError : it cannot be opened (the message names it and what there is).
+        """
+        self._capture = self._opener(self._config)
+        if not self._capture.isOpened():
+            raise CameraError(
+                f"camera {self._config.path!r} cannot be opened{_advice(self._config.path)}"
+            )
+
+    def grab(self) -> Optional[Shot]:
+        """Wait for the next picture.
+
+        Raises
+        ------
+        CameraError : the device is gone.
+        """
+        assert self._capture is not None
+        try:
+            if not self._capture.grab():
+                raise CameraError("no more pictures come")
+            t_s = self._clock() - self._config.latency_s
+            is_decoded, picture = self._capture.retrieve()
+        except cv2.error as error:
+            raise CameraError(str(error)) from error
+        return Shot(t_s, picture if is_decoded else None)
+
+    def close(self) -> None:
+        """Release the device."""
+        capture, self._capture = self._capture, None
+        if capture is not None:
+            capture.release()
+
+
+class LiveCamera(GrabbingCamera):
     """Read a live camera.
 
     Parameters
@@ -59,92 +100,11 @@ class LiveCamera(Camera):
     def __init__(
         self,
         config: CameraConfig,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = time.monotonic,
         opener: Callable[[CameraConfig], Capture] = open_capture,
     ) -> None:
         """Remember the settings; nothing is opened yet."""
-        super().__init__()
-        self._config, self._clock, self._opener = config, clock, opener
-        self._model: Optional[CameraModel] = None
-        self._slot = NewestSlot(self._stats)
-        self._thread: Optional[threading.Thread] = None
-        self._stop = threading.Event()
-
-    def open(self) -> None:
-        """Open the device and start grabbing.
-
-        Raises
-        ------
-        CameraError : the device cannot be opened (the message names it and what there is).
-        CalibrationError : the calibration file cannot be used.
-        """
-        self.close()
-        if self._config.calibration:
-            self._model = load_camera(self._config.calibration)
-        capture = self._opener(self._config)
-        if not capture.isOpened():
-            capture.release()
-            raise CameraError(
-                f"camera {self._config.path!r} cannot be opened{_advice(self._config.path)}"
-            )
-        self._stop = threading.Event()
-        self._slot = NewestSlot(self._stats, self._config.max_age_s, self._clock)
-        self._thread = threading.Thread(
-            target=self._grab, args=(capture, self._slot, self._stop), name="camera", daemon=True
-        )
-        self._thread.start()
-
-    def read(self, timeout_s: float) -> Optional[Frame]:
-        """Return the newest frame that is not stale, waiting for one.
-
-        Raises
-        ------
-        CameraError : nothing fresh within ``timeout_s``, or the device is gone.
-        CalibrationError : the calibration is for another picture size.
-        """
-        if self._thread is None:
-            raise CameraError(f"camera {self._config.path!r} is not open")
-        frame = self._slot.get(timeout_s)
-        if frame is None:
-            why = "was lost" if self._slot.is_closed else f"sent no fresh frame for {timeout_s:g} s"
-            raise CameraError(f"camera {self._config.path!r} {why}")
-        if self._model is not None:
-            check_size(self._model, frame.colour_bgr, self._config.path)
-        return frame
-
-    def close(self) -> None:
-        """Stop grabbing and release the device."""
-        thread, self._thread = self._thread, None
-        if thread is None:
-            return
-        self._stop.set()
-        self._slot.close()
-        thread.join(self._config.timeout_s)
-        if thread.is_alive():
-            LOG.warning("camera %r does not return from its driver", self._config.path)
-
-    def _grab(self, capture: Capture, slot: NewestSlot, stop: threading.Event) -> None:
-        """Grab until told to stop or the device is gone; runs in the camera's thread."""
-        seq = 0
-        last: Optional[Array] = None
-        try:
-            while not stop.is_set() and capture.grab():
-                t_s = self._clock() - self._config.latency_s
-                is_decoded, picture = capture.retrieve()
-                if not is_decoded or picture is None:
-                    self._stats.grabbed += 1
-                    self._stats.dropped += 1
-                    continue
-                is_repeated = is_same_picture(last, picture)
-                slot.put(Frame(seq, t_s, picture, None, self._model, is_repeated))
-                last = picture
-                seq += 1
-        except cv2.error as error:
-            LOG.error("camera %r: %s", self._config.path, error)
-        finally:
-            slot.close()
-            # here and not in close(): releasing under a running grab crashes some drivers
-            capture.release()
+        super().__init__(config, lambda: CaptureSource(config, clock, opener), clock)
 
 
 def _advice(path: str) -> str:

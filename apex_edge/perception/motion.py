@@ -29,7 +29,7 @@ _CURVED = {
 }  # chi-square of curvature that one line in 2000 shows by chance
 _MISFIT_SIGMA = 4.0
 _LEAN_SHARE = 0.4  # the newest samples pull the fit, so their residuals are small
-_ONSET = 0.1  # of the stated noise per frame: motion that has just begun goes unnoticed
+_ONSET = 0.1  # of the noise per frame: motion that has just begun goes unnoticed
 _MIN_NOISE, _N_NOISE = 8, 25
 _MIN_NOISE_RATIO, _MAX_NOISE_RATIO = 0.3, 4.0  # of the stated noise, for gates and fits
 _LEAST_NOISE = 0.05  # of the stated noise, for what is told
@@ -163,9 +163,13 @@ class MotionEstimator(Estimator):
 
     def noise_sd(self, sd: float) -> float:
         """Return the noise (one axis) that a sighting stated with ``sd`` is believed to have."""
-        if self._shown_sd > 0.0:
-            sd = min(max(self._shown_sd, _LEAST_NOISE * sd), _MAX_NOISE_RATIO * sd)
-        return math.sqrt(self._distrust) * sd
+        return math.sqrt(self._distrust) * self._shown(sd)
+
+    def _shown(self, sd: float) -> float:
+        """Return the noise that the track has shown, within reason of what is stated."""
+        if self._shown_sd <= 0.0:
+            return sd
+        return min(max(self._shown_sd, _LEAST_NOISE * sd), _MAX_NOISE_RATIO * sd)
 
     def _unseen_change(self, unseen_s: float) -> Tuple[float, float, float]:
         """Return the variances of x, x with v, and v that a change of motion may have made.
@@ -189,7 +193,7 @@ class MotionEstimator(Estimator):
         """Return the sd of the speed that motion begun within the last frames leaves."""
         samples = self._window
         span = samples[-1].t_s - samples[0].t_s
-        return _ONSET * samples[-1].sd * (len(samples) - 1) / span if span > 0.0 else 0.0
+        return _ONSET * self._shown(samples[-1].sd) * (len(samples) - 1) / span if span > 0 else 0.0
 
     def _doubt(self) -> Tuple[float, float]:
         """Return the mean square by which the newest miss is off, and for how long already."""

@@ -1,8 +1,14 @@
 """Settings of the perception stage."""
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Mapping, Tuple
 
 from apex_edge.config import setting
+from apex_edge.errors import ConfigError
+
+MAX_RADIUS_M = 5.0
 
 ADAPTIVE, PAPER = "adaptive", "paper"
 
@@ -23,6 +29,9 @@ class PerceptionConfig:
     bias_m: float = setting(0.0012, "systematic position error with depth, m", 0.0, 0.1)
     plane_bias_m: float = setting(0.006, "systematic position error without depth, m", 0.0, 0.5)
     object_height_m: float = setting(0.030, "object height assumed without depth, m", 0.0, 1.0)
+    ball_radius_m: Tuple[str, ...] = setting(
+        (), 'colours that are balls of known radius (m), as "orange=0.020"'
+    )
     min_depth_share: float = setting(0.3, "valid share of a blob's depth to trust it", 0.0, 1.0)
     max_radius_m: float = setting(0.12, "largest object radius believed, m", 0.005, 5.0)
     max_miss_s: float = setting(0.25, "a track unseen for longer is lost, s", 0.01, 10.0)
@@ -42,3 +51,35 @@ class PerceptionConfig:
     speed_sd_px_s: float = setting(2000.0, "speed expected of a new object, px/s", 1.0, 1e5)
     acc_sd_m_s2: float = setting(0.5, "unforeseen acceleration while unseen, m/s^2", 0.0, 100.0)
     acc_sd_px_s2: float = setting(600.0, "unforeseen acceleration while unseen, px/s^2", 0.0, 1e6)
+
+    def __post_init__(self) -> None:
+        """Refuse radii that cannot be read; the other settings are checked where they are read."""
+        ball_radii(self.ball_radius_m)
+
+
+@lru_cache(maxsize=16)
+def ball_radii(pairs: Tuple[str, ...]) -> Mapping[str, float]:
+    """Return colour name -> radius (m) of the setting ``ball_radius_m``.
+
+    Raises
+    ------
+    ConfigError : not NAME=METRES, a radius out of range, or a name given twice.
+    """
+    radii = {}
+    for pair in pairs:
+        name, _, text = pair.rpartition("=")
+        name = name.strip()
+        try:
+            radius_m = float(text)
+        except ValueError:
+            radius_m = math.nan
+        # written so that NaN fails as well
+        if not name or not 0.0 < radius_m <= MAX_RADIUS_M:
+            raise ConfigError(
+                f"perception.ball_radius_m: {pair!r} is not NAME=METRES with a radius in "
+                f'(0, {MAX_RADIUS_M}], as "orange=0.020"'
+            )
+        if name in radii:
+            raise ConfigError(f"perception.ball_radius_m: {name!r} is given twice")
+        radii[name] = radius_m
+    return radii

@@ -10,7 +10,8 @@ from apex_edge.perception import blobs, depth
 from apex_edge.perception.blobs import Blob, Box
 from apex_edge.perception.colour import ColourTable
 from apex_edge.perception.drift import DriftWatch
-from apex_edge.perception.settings import PerceptionConfig
+from apex_edge.perception.pieces import drop_far
+from apex_edge.perception.settings import PerceptionConfig, ball_radii
 from apex_edge.perception.sharing import Outlook, part
 from apex_edge.perception.tracking import Tracker
 from apex_edge.types import Detections, Frame, Tracks
@@ -91,6 +92,7 @@ class Perception:
 
     def _tell_apart(self, frame: Frame, found: List[Blob], outlook: Outlook) -> Detections:
         """Cut blobs that several tracks share, and place what can be told."""
+        found = drop_far(found, frame.depth_mm)
         told, hidden = part(found, outlook, self._colours.names)
         self._tracker.hide(hidden)
         return _detections(frame, told, self._colours, self._config)
@@ -117,7 +119,7 @@ def _check(frame: Frame) -> None:
 def _detections(
     frame: Frame, found: List[Blob], table: ColourTable, config: PerceptionConfig
 ) -> Detections:
-    placed = [_place(blob, frame, config) for blob in found]
+    placed = [_place(blob, frame, table, config) for blob in found]
     return Detections(
         seq=frame.seq,
         t_s=frame.t_s,
@@ -134,7 +136,8 @@ def _detections(
     )
 
 
-def _place(blob: Blob, frame: Frame, config: PerceptionConfig) -> depth.Placed:
+def _place(blob: Blob, frame: Frame, table: ColourTable, config: PerceptionConfig) -> depth.Placed:
     if frame.camera is None:
         return depth.NOWHERE
-    return depth.place(blob, frame.depth_mm, frame.camera, config)
+    radius_m = ball_radii(config.ball_radius_m).get(table.names[blob.label - 1], math.nan)
+    return depth.place(blob, frame.depth_mm, frame.camera, config, radius_m)

@@ -120,7 +120,8 @@ def examine(env: Mapping[str, str], config_path: Optional[str] = None) -> List[C
     config, found = read_settings(config_path)
     checks += found
     if config is not None:
-        checks += check_files(config) + [check_trigger(config.trigger)] + check_arm(config.arm)
+        checks += check_driver(config.camera.type) + check_files(config)
+        checks += [check_trigger(config.trigger)] + check_arm(config.arm)
     checks += check_llm(env, answers, config.planner if config is not None else None)
     checks += check_throttling(read_throttled())
     return checks
@@ -215,6 +216,21 @@ def check_cameras(devices: Path, names: Path) -> List[Check]:
             cure = "sudo usermod -aG video $USER, then log in again"
             checks.append(Check("camera", WARN, f"{device} {title}: no permission", cure))
     return checks
+
+
+def check_driver(camera_type: str) -> List[Check]:
+    """Check that the maker's package is there, where a camera of this type needs one."""
+    from apex_edge import plugins
+    from apex_edge.cameras.sdk import load
+
+    try:
+        sdk = getattr(plugins.load("cameras", camera_type), "sdk", None)
+        if sdk is None:
+            return []
+        load(sdk, camera_type)
+    except ApexError as error:
+        return [Check("camera driver", FAIL, str(error))]
+    return [Check("camera driver", OK, f"{sdk.module} for {camera_type}")]
 
 
 def check_serial_ports() -> List[Check]:

@@ -7,12 +7,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Callable
 
-from apex_edge import __version__
+from apex_edge import __version__, plugins
 from apex_edge.agent import STALE_S
 from apex_edge.agent import run as run_agent
 from apex_edge.assemble import ApexConfig, Kit, load_config, open_camera, twin_scene
 from apex_edge.closed_loop import ScenePlayer
-from apex_edge.errors import ArmError, CalibrationError, ConfigError
+from apex_edge.errors import CalibrationError, ConfigError
 from apex_edge.narrate import Narrator, planner_line
 from apex_edge.outputs import RunOutputs
 from apex_edge.planners.build import build_planner
@@ -20,13 +20,10 @@ from apex_edge.rate import Pacer
 from apex_edge.rig import TICK_S
 from apex_edge.sink import Sink
 from apex_edge.types import Step
-from firmware_bridge.kinematics import ArmModel
-from firmware_bridge.link import SerialLink
-from firmware_bridge.session import ArmSession, SessionState
+from firmware_bridge.ready import ReadyArm
 
 HELP = "run the agent on a real camera and arm, or on a scene of the twin"
 EXAMPLE = "apex run --config table.toml --seconds 60 --out out/table"
-ARMING_S = 6.0
 OnStep = Callable[[Step], None]
 
 
@@ -101,7 +98,7 @@ def _check_real_arm(config: ApexConfig, path: Path) -> None:
     ------
     ConfigError : a recorded source, no colours of one's own, or the twin's board.
     """
-    if config.camera.type != "live":
+    if not getattr(plugins.load("cameras", config.camera.type), "is_live", False):
         raise ConfigError(
             f"{path}: a real arm moves only for a live camera, found camera.type = "
             f"{config.camera.type!r}; use apex replay, or leave arm.port out"
@@ -138,45 +135,6 @@ def _run_live(kit: Kit, on_step: OnStep, seconds: float) -> None:
         stale_s = max(STALE_S, 3.0 / config.camera.fps)
         patience_s = config.camera.timeout_s
         run_agent(agent, camera, on_step, lambda: clock() >= end_s, patience_s, stale_s)
-
-
-class ReadyArm:
-    """Open an arm and bring it home; leave it stopped. A context manager.
-
-    Raises
-    ------
-    ArmError : the port cannot be opened, or the arm does not get ready.
-    """
-
-    def __init__(self, arm: ArmModel, port: str, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self.session = ArmSession(arm, SerialLink(port), clock)
-
-    def __enter__(self) -> "ReadyArm":
-        """Open, arm, and wait until the arm is home."""
-        self.session.open()
-        try:
-            self._go_home()
-        except BaseException:
-            self.session.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop the arm and let go of the port."""
-        self.session.close()
-
-    def _go_home(self) -> None:
-        self.session.arm()
-        give_up_s = self._clock() + ARMING_S
-        while self.session.state is not SessionState.ARMED:
-            time.sleep(TICK_S)
-            self.session.tick()
-            if self._clock() > give_up_s:
-                raise ArmError(
-                    f"the arm did not get ready in {ARMING_S} s: {self.session.state.value} "
-                    f"{self.session.reason}"
-                )
 
 
 def _fps(config: ApexConfig) -> float:

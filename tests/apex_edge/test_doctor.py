@@ -1,6 +1,7 @@
 import json
 import socket
-from types import SimpleNamespace
+import sys
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -95,6 +96,15 @@ def test_cameras_are_listed_by_name(tmp_path):
     (names / "video0" / "name").write_text("Cheap Cam\n")
     found = [check.found for check in doctor.check_cameras(tmp_path, names)]
     assert any(text.endswith("video0 Cheap Cam") for text in found)
+
+
+def test_driver_of_a_depth_camera_is_looked_for(monkeypatch):
+    monkeypatch.setitem(sys.modules, "depthai", None)
+    [check] = doctor.check_driver("oak")
+    assert check.status == FAIL and "depthai" in check.found
+    monkeypatch.setitem(sys.modules, "depthai", ModuleType("depthai"))
+    assert statuses(doctor.check_driver("oak")) == [OK]
+    assert doctor.check_driver("live") == doctor.check_driver("twin") == []
 
 
 def test_no_camera_is_a_note_with_a_way_on(tmp_path):

@@ -100,7 +100,7 @@ def test_no_answer_of_a_language_model_makes_an_implicit_scene_worse(kit: Kit, a
 def test_a_useful_answer_in_time_is_what_moves_the_arm(kit: Kit) -> None:
     with FakeServer(answering("first", 0.05, 1)) as server:
         env = {"APEX_LLM_BASE_URL": server.url, "APEX_LLM_MODEL": "scripted"}
-        sources = {play(kit, "implicit", seed, env=env).source for seed in (2, 3)}
+        sources = {play(kit, "implicit", seed, env=env).source for seed in (1, 4)}
     assert "llm" in sources
 
 

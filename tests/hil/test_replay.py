@@ -14,10 +14,10 @@ import pytest
 
 import apex_edge
 from apex_edge.cli import main
-from apex_edge.verbs.run import ReadyArm
 from firmware_bridge.errors import NoSuchPort, PortBusy
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.link import SerialLink
+from firmware_bridge.ready import ReadyArm
 from firmware_bridge.simulator import PtyBoard, RrcFirmware
 
 RECORDING = Path(__file__).parents[2] / "examples" / "small-collision.mcap"

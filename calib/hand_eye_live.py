@@ -1,0 +1,188 @@
+"""Pose pairs from a live arm: where it shall go, whether it may, and what its camera sees there.
+
+All motion goes through the session of a ``ReadyArm``, so every way passes the guard; the whole
+round is also checked beforehand, with more room above the table, for the gripper holds a camera.
+Source: ours.
+"""
+
+from pathlib import Path
+from typing import Callable, List, Optional
+
+import numpy as np
+
+from apex_edge.cameras.base import Camera
+from apex_edge.errors import CalibrationError, CameraError
+from apex_edge.types import Array
+from calib.hand_eye_checks import MIN_POSES, motion_of
+from calib.pose_pairs import PosePairs, read_numbers
+from calib.rigid import angle_between_rad
+from calib.verdict import judge
+from firmware_bridge.errors import MotionRefused
+from firmware_bridge.guard import Limits, check_path
+from firmware_bridge.kinematics import ArmModel
+from firmware_bridge.ready import ReadyArm
+
+Detector = Callable[[Array], Optional[Array]]
+"""Takes a picture (h, w, 3), returns cam_from_target (4, 4) or None when it sees no target."""
+RATE_SHARE = 0.15
+ROOM = Limits(min_tip_z_m=0.04, min_link_z_m=0.03)
+_N_TRIED = 6000
+_NEAREST_M, _FARTHEST_M = 0.08, 0.30
+_MAX_OFF_RAD = np.radians(25.0)  # cameras see about 30 degrees to each side
+_OLD_PICTURE_S = 0.25  # a camera's own delay: its stamp may be that much later than the exposure
+_N_PICTURES = 100
+
+
+def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses: int = 24) -> Array:
+    """Return joints (n, k) that point the hand at a place on the table from many sides.
+
+    Of random poses whose hand points to within 25 degrees of ``aim_m`` (3,), those are taken in
+    turn that differ most from all before in how the gripper is turned. Sorted for short ways.
+
+    Raises
+    ------
+    CalibrationError : the arm cannot look there from enough sides.
+    """
+    joints = _towards(arm, np.asarray(aim_m, dtype=np.float64), rng)
+    pose = arm.gripper_pose(joints)
+    away = np.asarray(aim_m, dtype=np.float64) - pose[:, :3, 3]
+    distance = np.linalg.norm(away, axis=1)
+    off = np.arccos(np.clip((away * pose[:, :3, 0]).sum(axis=1) / distance, -1.0, 1.0))
+    is_good = (off <= _MAX_OFF_RAD) & (distance >= _NEAREST_M) & (distance <= _FARTHEST_M)
+    able = [q for q in joints[is_good] if _may_go(arm, arm.home_rad, q)]
+    if len(able) < MIN_POSES:
+        raise CalibrationError(
+            f"the arm can look at {np.round(aim_m, 3).tolist()} m from {len(able)} of {_N_TRIED} "
+            f"random poses, {MIN_POSES} are needed; move the board and give --aim"
+        )
+    chosen = _most_different(arm, np.array(able), n_poses)
+    return _in_order(arm, chosen[np.lexsort((chosen[:, 1], np.round(chosen[:, 0], 1)))])
+
+
+def read_poses(path: Path, arm: ArmModel) -> Array:
+    """Read joints (n, k) from a CSV file: a header line, then yaw, shoulder, ... in degrees.
+
+    Raises
+    ------
+    CalibrationError : the file cannot be used.
+    """
+    return np.radians(read_numbers(path, arm.n_joints))
+
+
+def check_poses(arm: ArmModel, joints_rad: Array) -> float:
+    """Check a round from home through all poses and back; returns how long it takes in s.
+
+    Raises
+    ------
+    CalibrationError : too few poses, or their turns cannot tell where the camera is.
+    MotionRefused : a way leaves the limits or comes too near the table; says which.
+    """
+    if len(joints_rad) < MIN_POSES:
+        raise CalibrationError(f"{len(joints_rad)} poses; at least {MIN_POSES} are needed")
+    found = judge(motion_of(arm.gripper_pose(joints_rad)).limits())
+    if found.is_refused:
+        raise CalibrationError(f"these poses cannot tell: {'; '.join(found.reasons)}")
+    goals = np.vstack([joints_rad, arm.home_rad])
+    before = np.vstack([arm.home_rad, joints_rad])
+    duration_s = np.array([arm.travel_time_s(a, b[None])[0] for a, b in zip(before, goals)])
+    slow_s = np.maximum(duration_s / RATE_SHARE, 0.2)
+    check_path(arm, arm.home_rad, goals, slow_s, ROOM)
+    return float(slow_s.sum()) + len(goals) * 1.0
+
+
+def collect(
+    ready: ReadyArm,
+    camera: Camera,
+    detect: Detector,
+    joints_rad: Array,
+    tell: Callable[[str], None],
+) -> PosePairs:
+    """Go through the poses, look at each when the arm stands, and come home.
+
+    Poses at which the target is not seen are left out.
+
+    Raises
+    ------
+    MotionRefused, ArmError : the arm was stopped. CameraError : no picture.
+    """
+    arm = ready.session.model
+    gripper: List[Array] = []
+    target: List[Array] = []
+    for index, goal in enumerate(joints_rad):
+        ready.go(goal, RATE_SHARE)
+        seen = detect(_picture_after(camera, ready.session.read().t_s + _OLD_PICTURE_S))
+        tell(
+            f"pose {index + 1} of {len(joints_rad)}: {'seen' if seen is not None else 'no target'}"
+        )
+        if seen is not None:
+            # what the servos were told: whole pulses, not the wish
+            told = arm.angles_rad(arm.pulses_us(ready.session.read().joints_rad))
+            gripper.append(arm.gripper_pose(told)[0])
+            target.append(seen)
+    ready.go(arm.home_rad, RATE_SHARE)
+    shape = (-1, 4, 4)
+    return PosePairs(
+        np.array(gripper).reshape(shape),
+        np.array(target).reshape(shape),
+        np.arange(1, len(gripper) + 1),
+    )
+
+
+def _picture_after(camera: Camera, t_s: float) -> Array:
+    """Return the first picture stamped at or after ``t_s``: taken when the arm stood."""
+    for _ in range(_N_PICTURES):
+        frame = camera.read(2.0)
+        if frame is None:
+            break
+        if frame.t_s >= t_s:
+            return frame.colour_bgr
+    raise CameraError("the camera gave no picture of the standing arm; is its clock the arm's?")
+
+
+def _towards(arm: ArmModel, aim_m: Array, rng: np.random.RandomState) -> Array:
+    """Return random joints (n, k) within their limits whose hand points about at ``aim_m`` (3,).
+
+    Yaw, shoulder and elbow are drawn, the wrist is then bent towards the aim, more or less.
+    """
+    low, high = arm.limits_rad[:, 0], arm.limits_rad[:, 1]
+    margin = 0.02 * (high - low)
+    joints = rng.uniform(low + margin, high - margin, (_N_TRIED, arm.n_joints))
+    joints[:, 0] = np.arctan2(aim_m[1], aim_m[0]) + rng.uniform(-0.8, 0.8, _N_TRIED)
+    wrist = arm.forward(joints)[:, 2]
+    ahead = wrist[:, 0] * np.cos(joints[:, 0]) + wrist[:, 1] * np.sin(joints[:, 0])
+    pitch = np.arctan2(aim_m[2] - wrist[:, 2], float(np.hypot(*aim_m[:2])) - ahead)
+    pitch += rng.uniform(-_MAX_OFF_RAD, _MAX_OFF_RAD, _N_TRIED)
+    joints[:, 3] = pitch - joints[:, 1] + joints[:, 2]
+    inside = ((joints >= low + margin) & (joints <= high - margin)).all(axis=1)
+    drawn: Array = joints[inside]
+    return drawn
+
+
+def _may_go(arm: ArmModel, start: Array, goal: Array) -> bool:
+    try:
+        check_path(arm, start, goal[None], np.array([1.0]), ROOM)
+    except MotionRefused:
+        return False
+    return True
+
+
+def _most_different(arm: ArmModel, joints: Array, n_poses: int) -> Array:
+    turns = arm.gripper_pose(joints)[:, :3, :3]
+    chosen = [0]
+    nearest = angle_between_rad(turns, turns[0])
+    while len(chosen) < min(n_poses, len(joints)):
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, angle_between_rad(turns, turns[chosen[-1]]))
+    picked: Array = joints[chosen]
+    return picked
+
+
+def _in_order(arm: ArmModel, joints: Array) -> Array:
+    """Return the poses that can be reached one from another; all can from and to home."""
+    kept: List[Array] = [joints[0]]
+    for goal in joints[1:]:
+        if _may_go(arm, kept[-1], goal):
+            kept.append(goal)
+    while not _may_go(arm, kept[-1], arm.home_rad):
+        kept.pop()
+    return np.array(kept)

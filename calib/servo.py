@@ -1,0 +1,333 @@
+"""Servo pulse <-> joint angle from protractor readings, approached from both directions.
+
+The pulse is exact and the reading is not, so the angle is fitted over the pulse; each direction of
+approach has its own offset, and twice that is the backlash. Source: ours.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Dict, List, NamedTuple, Tuple
+
+import numpy as np
+
+from apex_edge.errors import CalibrationError
+from apex_edge.types import Array
+from calib.pose_pairs import read_cells
+from calib.verdict import WARN, Limit, Verdict, judge, worst
+from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US
+
+COLUMNS = ("servo_id", "pulse_us", "angle_deg", "direction")
+UP, DOWN = "up", "down"
+MIN_SAMPLES, WANTED_SAMPLES = 6, 10
+GOOD_DEG, REFUSED_DEG = 0.5, 2.0
+MIN_SPAN_DEG, WANTED_SPAN_DEG = 30.0, 60.0
+MAX_US_PER_RAD = 2000.0
+_MIN_OFF_DEG = 1.5  # a protractor is read to half a degree: nothing nearer is an outlier
+_GATE_SD = 4.0
+
+
+@dataclass(frozen=True)
+class ServoSamples:
+    """Readings (n,): ``is_up`` when the pulse was approached from below; ``row`` from 1."""
+
+    servo_id: Array
+    pulse_us: Array
+    angle_deg: Array
+    is_up: Array
+    row: Array
+
+    def pick(self, which: Array) -> "ServoSamples":
+        """Return some of the readings, by mask or index."""
+        return ServoSamples(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class ServoFit:
+    """One servo: ``pulse = zero_us + us_per_rad * angle``, midway between both directions.
+
+    Residuals are RMS in degrees, ``left_out_deg`` that of readings predicted by the others;
+    ``bend_deg`` how far a curve through the readings leaves the line at its ends. NaN: not known.
+    """
+
+    servo_id: int
+    verdict: str
+    reasons: Tuple[str, ...]
+    zero_us: float
+    us_per_rad: float
+    sd_zero_us: float
+    sd_us_per_rad: float
+    backlash_deg: float
+    sd_backlash_deg: float
+    residual_up_deg: float
+    residual_down_deg: float
+    left_out_deg: float
+    bend_deg: float
+    span_deg: float
+    n_samples: int
+    rejected: Tuple[Tuple[int, str], ...]
+
+    def plain(self) -> Dict[str, Any]:
+        """Return it as plain values, with null for what is not known."""
+        values = {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in asdict(self).items()
+        }
+        values["rejected"] = [{"row": row, "why": why} for row, why in self.rejected]
+        return {**values, "reasons": list(self.reasons)}
+
+
+class _Numbers(NamedTuple):
+    """The measured part of a ``ServoFit``."""
+
+    zero_us: float
+    us_per_rad: float
+    sd_zero_us: float
+    sd_us_per_rad: float
+    backlash_deg: float
+    sd_backlash_deg: float
+    residual_up_deg: float
+    residual_down_deg: float
+    left_out_deg: float
+
+
+class _Line(NamedTuple):
+    """A least-squares fit: ``beta (p,)``, its covariance, residuals and leverages (n,)."""
+
+    beta: Array
+    cov: Array
+    residual: Array
+    leverage: Array
+
+
+def read_samples(path: Path) -> ServoSamples:
+    """Read a file of servo_id, pulse_us, angle_deg, direction (up or down) below a header line.
+
+    Raises
+    ------
+    CalibrationError : unreadable, or a row that is not of that form or out of range.
+    """
+    rows = [_sample(path, index, cells) for index, cells in enumerate(read_cells(path, 4))]
+    if not rows:
+        raise CalibrationError(f"{path}: no sample in the file")
+    ids, pulses, angles, ups = zip(*rows)
+    return ServoSamples(
+        np.array(ids),
+        np.array(pulses),
+        np.array(angles),
+        np.array(ups),
+        np.arange(1, len(rows) + 1),
+    )
+
+
+def samples_text(samples: ServoSamples) -> str:
+    """Return samples as the text of a file that ``read_samples`` reads."""
+    lines = [",".join(COLUMNS)]
+    for i in range(len(samples.row)):
+        direction = UP if samples.is_up[i] else DOWN
+        lines.append(
+            f"{samples.servo_id[i]},{samples.pulse_us[i]:g},{samples.angle_deg[i]:g},{direction}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _sample(path: Path, index: int, cells: List[str]) -> Tuple[int, float, float, bool]:
+    where = f"{path}: row {index + 1}"
+    try:
+        servo_id, pulse_us, angle_deg = int(cells[0]), float(cells[1]), float(cells[2])
+    except ValueError:
+        raise CalibrationError(
+            f"{where}: expected servo_id, pulse_us, angle_deg, direction; found {cells}"
+        ) from None
+    if cells[3].lower() not in (UP, DOWN):
+        raise CalibrationError(f"{where}: direction must be up or down, found {cells[3]!r}")
+    # written so that NaN is refused
+    if not PULSE_MIN_US <= pulse_us <= PULSE_MAX_US:
+        raise CalibrationError(
+            f"{where}: pulse_us = {pulse_us:g} is outside [{PULSE_MIN_US}, {PULSE_MAX_US}]"
+        )
+    if not -360.0 <= angle_deg <= 360.0:
+        raise CalibrationError(f"{where}: angle_deg = {angle_deg:g} is outside [-360, 360]")
+    return servo_id, pulse_us, angle_deg, cells[3].lower() == UP
+
+
+def solve(samples: ServoSamples) -> Tuple[ServoFit, ...]:
+    """Fit each servo of the samples and judge it, in the order of their ids."""
+    ids = np.unique(samples.servo_id)
+    return tuple(_fit(samples.pick(samples.servo_id == servo_id)) for servo_id in ids)
+
+
+def overall(fits: Tuple[ServoFit, ...]) -> Verdict:
+    """Return the worst verdict of all servos, with every reason and whose it is."""
+    reasons = [f"servo {fit.servo_id}: {reason}" for fit in fits for reason in fit.reasons]
+    return Verdict(worst([fit.verdict for fit in fits]), tuple(reasons))
+
+
+def _fit(samples: ServoSamples) -> ServoFit:
+    span_deg = float(np.ptp(samples.angle_deg))
+    early = [
+        Limit(len(samples.row), WANTED_SAMPLES, MIN_SAMPLES, "{:.0f} readings", True),
+        Limit(span_deg, WANTED_SPAN_DEG, MIN_SPAN_DEG, "readings span {:.1f} deg", True),
+        Limit(
+            _one_way_share(samples),
+            0.95,
+            0.85,
+            "the angle follows the pulse one way in only {:.0%} of all pairs of readings",
+            True,
+        ),
+    ]
+    kept = _agreeing(samples)
+    used = samples.pick(kept)
+    if judge(early).is_refused or kept.sum() < MIN_SAMPLES:
+        lost = [Limit(float(kept.sum()), MIN_SAMPLES, MIN_SAMPLES, "{:.0f} readings agree", True)]
+        return _made(samples, kept, judge(early + lost), _Numbers(*[math.nan] * 9))
+    line = _least_squares(_design(used), used.angle_deg)
+    offset, slope = line.beta[0], line.beta[1]
+    up, down = used.is_up, ~used.is_up
+    is_both = bool(up.any() and down.any())
+    us_per_rad = math.degrees(1.0) / slope
+    zero_us = -offset / slope
+    to_zero = np.array([-1.0 / slope, offset / slope**2])
+    values = _Numbers(
+        float(zero_us),
+        float(us_per_rad),
+        math.sqrt(to_zero @ line.cov[:2, :2] @ to_zero),
+        float(abs(us_per_rad / slope)) * math.sqrt(line.cov[1, 1]),
+        2.0 * abs(float(line.beta[2])) if is_both else math.nan,
+        2.0 * math.sqrt(line.cov[2, 2]) if is_both else math.nan,
+        _rms(line.residual[up]),
+        _rms(line.residual[down]),
+        _rms(line.residual / np.maximum(1.0 - line.leverage, 1e-6)),
+    )
+    verdict = judge([*early, *_limits(values, 1.0 - kept.mean())])
+    bend_deg, is_bent = _bend(used)
+    reasons = list(verdict.reasons)
+    if not is_both:
+        reasons.append(f"approached {UP if up.any() else DOWN} only: the backlash is not known")
+    if is_bent:
+        reasons.append(f"pulse and angle are not on a line: {bend_deg:.2f} deg at the ends")
+    grade = worst([verdict.grade, *([WARN] if reasons else [])])
+    return _made(samples, kept, Verdict(grade, tuple(reasons)), values, bend_deg)
+
+
+def _made(
+    samples: ServoSamples,
+    kept: Array,
+    verdict: Verdict,
+    values: _Numbers,
+    bend_deg: float = math.nan,
+) -> ServoFit:
+    off = _off_deg(samples)
+    rejected = tuple(
+        (int(samples.row[i]), f"{off[i]:+.1f} deg off the line of the others")
+        for i in np.flatnonzero(~kept)
+    )
+    return ServoFit(
+        servo_id=int(samples.servo_id[0]),
+        verdict=verdict.grade,
+        reasons=tuple(verdict.reasons),
+        **values._asdict(),
+        bend_deg=bend_deg,
+        span_deg=float(np.ptp(samples.angle_deg)),
+        n_samples=len(samples.row),
+        rejected=rejected,
+    )
+
+
+def _limits(values: _Numbers, rejected_share: float) -> List[Limit]:
+    residuals = (
+        (UP, values.residual_up_deg),
+        (DOWN, values.residual_down_deg),
+        ("left out", values.left_out_deg),
+    )
+    limits = [
+        Limit(residual, GOOD_DEG, REFUSED_DEG, "residual {:.2f} deg, " + name)
+        for name, residual in residuals
+        if math.isfinite(residual)
+    ]
+    if math.isfinite(values.backlash_deg):
+        limits.append(Limit(values.backlash_deg, 2.0, 8.0, "backlash {:.2f} deg"))
+    limits += [
+        Limit(rejected_share, 0.1, 0.2, "{:.0%} of the readings contradict the others"),
+        Limit(
+            abs(values.us_per_rad), MAX_US_PER_RAD, MAX_US_PER_RAD, "{:.0f} us per rad; in degrees?"
+        ),
+        Limit(
+            abs(values.zero_us - 1500.0), 1500.0, 2500.0, "pulse at angle 0 is {:.0f} us off 1500"
+        ),
+    ]
+    return limits
+
+
+def _design(samples: ServoSamples) -> Array:
+    """Return the columns 1, pulse and, where both directions occur, the direction's sign."""
+    columns = [np.ones(len(samples.row)), samples.pulse_us]
+    if samples.is_up.any() and not samples.is_up.all():
+        columns.append(np.where(samples.is_up, 1.0, -1.0))
+    design: Array = np.column_stack(columns)
+    return design
+
+
+def _least_squares(design: Array, angle_deg: Array) -> _Line:
+    centre = np.zeros(design.shape[1])
+    centre[1] = design[:, 1].mean()  # pulses are far from zero: centred, the sums stay exact
+    moved = design - centre
+    inverse = np.linalg.pinv(moved.T @ moved)
+    beta = inverse @ moved.T @ angle_deg
+    residual = angle_deg - moved @ beta
+    n_free = max(1, len(angle_deg) - design.shape[1])
+    cov = inverse * float(residual @ residual) / n_free
+    back = np.eye(design.shape[1])
+    back[0, 1] = -centre[1]  # the constant at pulse 0
+    leverage = np.einsum("ij,jk,ik->i", moved, inverse, moved)
+    return _Line(back @ beta, back @ cov @ back.T, residual, leverage)
+
+
+def _pair_slopes(samples: ServoSamples) -> Array:
+    """Return the slopes (m,) between readings of one direction and clearly different pulses."""
+    first, second = np.triu_indices(len(samples.row), k=1)
+    step = samples.pulse_us[second] - samples.pulse_us[first]
+    is_usable = (np.abs(step) >= 20.0) & (samples.is_up[first] == samples.is_up[second])
+    rise = samples.angle_deg[second] - samples.angle_deg[first]
+    slopes: Array = rise[is_usable] / step[is_usable]
+    return slopes
+
+
+def _one_way_share(samples: ServoSamples) -> float:
+    slopes = _pair_slopes(samples)
+    if not len(slopes):
+        return 0.0
+    return float(max(np.mean(slopes > 0.0), np.mean(slopes < 0.0)))
+
+
+def _off_deg(samples: ServoSamples) -> Array:
+    """Return how far readings (n,) are from a robust line (Theil-Sen), one a direction."""
+    slopes = _pair_slopes(samples)
+    left = samples.angle_deg - (np.median(slopes) if len(slopes) else 0.0) * samples.pulse_us
+    off = np.zeros(len(left))
+    for way in (samples.is_up, ~samples.is_up):
+        if way.any():
+            off[way] = left[way] - np.median(left[way])
+    return off
+
+
+def _agreeing(samples: ServoSamples) -> Array:
+    off = np.abs(_off_deg(samples))
+    kept: Array = off <= max(_GATE_SD * 1.4826 * float(np.median(off)), _MIN_OFF_DEG)
+    return kept
+
+
+def _bend(samples: ServoSamples) -> Tuple[float, bool]:
+    """Return the curve's height at the ends in degrees, and whether it is there beyond doubt."""
+    design = _design(samples)
+    middle, half = samples.pulse_us.mean(), 0.5 * float(np.ptp(samples.pulse_us))
+    if len(samples.row) <= design.shape[1] + 1 or half <= 0.0:
+        return math.nan, False
+    curve = ((samples.pulse_us - middle) / half) ** 2
+    line = _least_squares(np.column_stack([design, curve]), samples.angle_deg)
+    bend, sd = float(line.beta[-1]), math.sqrt(float(line.cov[-1, -1]))
+    return bend, abs(bend) > max(3.0 * sd, GOOD_DEG)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan

@@ -1,0 +1,88 @@
+"""Protractor readings from a live arm: one joint goes up through its range and down again.
+
+Source: ours.
+"""
+
+from typing import Callable, List, Optional, Tuple
+
+import numpy as np
+
+from apex_edge.errors import CalibrationError, ConfigError
+from apex_edge.types import Array
+from calib.servo import ServoSamples
+from firmware_bridge.errors import MotionRefused
+from firmware_bridge.guard import Limits, check_path
+from firmware_bridge.kinematics import ArmModel
+from firmware_bridge.ready import ReadyArm
+
+RATE_SHARE = 0.15
+ROOM = Limits(min_tip_z_m=0.02, min_link_z_m=0.02)
+_N_ANGLES = 9
+_EDGE = 0.03  # of the range that is left at both ends
+Ask = Callable[[str], Optional[float]]
+"""Asks for a reading in degrees; None leaves it out."""
+
+
+def poses_for(arm: ArmModel, joint: str) -> Array:
+    """Return joints (n, k) in the order of rising pulses: one joint turns, the others are home.
+
+    Raises
+    ------
+    ConfigError : no such joint. CalibrationError : too little of its range is free from home.
+    """
+    if joint not in arm.joint_names:
+        raise ConfigError(f"no joint is named {joint!r}; known: {', '.join(arm.joint_names)}")
+    at = arm.joint_names.index(joint)
+    low, high = arm.limits_rad[at]
+    edge = _EDGE * (high - low)
+    poses = np.tile(arm.home_rad, (_N_ANGLES, 1))
+    poses[:, at] = np.linspace(low + edge, high - edge, _N_ANGLES)
+    if arm.us_per_rad[at] < 0.0:
+        poses = poses[::-1]
+    free = np.array([_is_free(arm, pose) for pose in poses])
+    if free.sum() < 5:
+        raise CalibrationError(
+            f"{joint}: only {int(free.sum())} of {_N_ANGLES} angles can be reached from home"
+        )
+    reachable: Array = poses[free]
+    return reachable
+
+
+def collect(ready: ReadyArm, joint: str, poses: Array, ask: Ask) -> ServoSamples:
+    """Go up through the poses and down again, and ask for the angle at each.
+
+    The ends are turned at, and not asked: they would be reached from the wrong side.
+
+    Raises
+    ------
+    MotionRefused, ArmError : the arm was stopped. CalibrationError : nothing was read.
+    """
+    arm = ready.session.model
+    at = arm.joint_names.index(joint)
+    rows: List[Tuple[int, float, bool]] = []
+    ready.go(poses[0], RATE_SHARE)
+    for order, is_up in ((poses[1:], True), (poses[-2::-1], False)):
+        for pose in order:
+            ready.go(pose, RATE_SHARE)
+            pulse_us = int(arm.pulses_us(ready.session.read().joints_rad)[at])
+            wanted = np.degrees(pose[at])
+            angle = ask(f"{joint}: meant to stand at {wanted:.0f} deg; protractor reads: ")
+            if angle is not None:
+                rows.append((pulse_us, angle, is_up))
+    ready.go(arm.home_rad, RATE_SHARE)
+    if not rows:
+        raise CalibrationError("no angle was read")
+    pulses, angles, ups = zip(*rows)
+    n = len(rows)
+    ids = np.full(n, arm.servo_ids[at])
+    return ServoSamples(
+        ids, np.array(pulses, dtype=float), np.array(angles), np.array(ups), np.arange(1, n + 1)
+    )
+
+
+def _is_free(arm: ArmModel, pose: Array) -> bool:
+    try:
+        check_path(arm, arm.home_rad, pose[None], np.array([1.0]), ROOM)
+    except MotionRefused:
+        return False
+    return True

@@ -1,0 +1,114 @@
+"""``apex calibrate servo``: pulse <-> angle of a servo from protractor readings."""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import List, Optional, Sequence
+
+from calib import files, servo_live
+from calib.made import files_digest, made
+from calib.servo import ServoFit, overall, read_samples, samples_text, solve
+from calib.servo_output import draw, servo_document, toml_lines
+from calib.settings import Bench
+from calib.verbs.moving import confirm
+from calib.verbs.outcome import Told, check_usable, deliver, faults_told
+from firmware_bridge.kinematics import ArmModel
+from firmware_bridge.ready import ReadyArm
+
+HELP = "fit servo pulses to joint angles, in both directions"
+EXAMPLE = "apex calibrate servo --samples yaw.csv --out servo.json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the readings and the file to write."""
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "--samples",
+        type=Path,
+        metavar="FILE.csv",
+        help="header, then servo_id,pulse_us,angle_deg,direction (up or down) a row",
+    )
+    source.add_argument(
+        "--config", type=Path, metavar="FILE", help="settings of a live arm: it will move"
+    )
+    parser.add_argument("--arm", default="armpi-mini", help="arm data, for the joints' names")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    live = parser.add_argument_group("with --config")
+    live.add_argument("--joint", default="yaw", help="the joint to turn (yaw)")
+    live.add_argument("--yes", action="store_true", help="let the arm move without asking")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit the readings; write nothing unless every servo can be used.
+
+    Raises
+    ------
+    CalibrationError : the readings cannot be used, or the verdict is a refusal.
+    ArmError : live only; the arm was stopped.
+    """
+    arm = ArmModel.load(args.arm) if args.config is None else Bench.read(args.config).model()
+    source = args.samples if args.samples is not None else _collect(args, arm)
+    with faults_told(args.json):
+        samples = read_samples(source)
+    fits = solve(samples)
+    verdict = overall(fits)
+    figures = {**verdict.plain(), "servos": [fit.plain() for fit in fits]}
+    check_usable(verdict, figures, str(source), args.json)
+    about = made(files_digest([source]), verdict, samples=source.name, servos=figures["servos"])
+    document = servo_document(fits, arm, about)
+    told = Told({**figures, "toml": document["toml"]}, _lines(fits, arm), args.json)
+    deliver(args.out, document, draw(samples, fits), told)
+    return 0
+
+
+def _collect(args: argparse.Namespace, arm: ArmModel) -> Path:
+    """Turn one joint and ask for its angle; returns the readings' file, beside the result."""
+    bench = Bench.read(args.config)
+    poses = servo_live.poses_for(arm, args.joint)
+    confirm(
+        f"The arm on {bench.arm.port} goes home, then {args.joint} turns slowly through "
+        f"{len(poses)} angles up and down; put a protractor on it. An empty answer skips one.",
+        args.yes,
+    )
+    with ReadyArm(arm, bench.arm.port, time.monotonic, time.sleep) as ready:
+        samples = servo_live.collect(ready, args.joint, poses, _ask)
+    path: Path = args.out.with_name(f"{args.out.stem}-samples.csv")
+    files.write_whole({path: samples_text(samples).encode("utf-8")})
+    return path
+
+
+def _ask(prompt: str) -> Optional[float]:
+    """Ask until the answer is a number; None when it is empty."""
+    while True:
+        sys.stderr.write(prompt)
+        sys.stderr.flush()
+        answer = sys.stdin.readline().strip()
+        if not answer:
+            return None
+        try:
+            angle = float(answer)
+        except ValueError:
+            sys.stderr.write(f"{answer!r} is no number of degrees\n")
+            continue
+        if abs(angle) <= 360.0:
+            return angle
+        sys.stderr.write(f"{answer} is outside -360..360 degrees\n")
+
+
+def _lines(fits: Sequence[ServoFit], arm: ArmModel) -> List[str]:
+    lines: List[str] = []
+    for fit in fits:
+        lines.append(
+            f"servo {fit.servo_id}: {fit.verdict}; zero {fit.zero_us:.1f} +- {fit.sd_zero_us:.1f} "
+            f"us, {fit.us_per_rad:.1f} +- {fit.sd_us_per_rad:.1f} us per rad"
+        )
+        lines.append(
+            f"  residual up {fit.residual_up_deg:.2f}, down {fit.residual_down_deg:.2f}, left out "
+            f"{fit.left_out_deg:.2f} deg; backlash {fit.backlash_deg:.2f} +- "
+            f"{fit.sd_backlash_deg:.2f} deg"
+        )
+        lines += [f"  {reason}" for reason in fit.reasons]
+        lines += [f"  row {row} rejected: {why}" for row, why in fit.rejected]
+    return [*lines, "lines for the arm's data file:", *toml_lines(fits, arm)]
