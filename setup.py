@@ -110,6 +110,7 @@ setup(
         ],
         "apex_edge.benches": [
             "latency = offline_train.benchmarks.latency",
+            "perception = offline_train.benchmarks.perception",
             "rollout = offline_train.benchmarks.rollout",
             "hand-eye = offline_train.benchmarks.hand_eye",
         ],

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any, Dict, List, Optional, Tuple
 
 import cv2
-import numpy as np
 
 from apex_edge.errors import InputError, RecordingError
+from apex_edge.pictures import decode
 from apex_edge.types import Array
 
 _PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp"}
@@ -22,9 +22,7 @@ def read_picture(path: Path, frame: int = 0) -> Array:
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
     if path.suffix.lower() in _PICTURES:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-        # OpenCV asserts on an empty buffer instead of returning None.
-        picture: Optional[Array] = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+        picture = decode(path.read_bytes())
         if picture is None:
             raise RecordingError(f"{path}: not a picture that OpenCV can read")
         if frame:

@@ -12,9 +12,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Dict, Mapping, Union
 
+import cv2
 import numpy as np
 
-from apex_edge import documents
+from apex_edge import documents, geometry
 from apex_edge.errors import CalibrationError
 from apex_edge.types import Array, CameraModel, Intrinsics
 
@@ -22,6 +23,9 @@ FORMAT = "apex-camera"
 VERSION = 1
 N_DIST = 5
 MAX_SIDE_PX = 65535
+MAX_FOLD_PX = 2.0  # strong but real lenses reach 0.9 at the corners (k1 -0.4, f 0.8 of the width)
+MAX_AWAY_M = 100.0
+FOCAL_SIDES = (0.02, 200.0)  # of the longer side: from a view all around to a telescope
 
 
 def camera_document(camera: Intrinsics, made: Mapping[str, Any]) -> Dict[str, Any]:
@@ -135,18 +139,43 @@ def _check_lens(lens: Intrinsics, where: str) -> None:
     sides = (lens.width_px, lens.height_px)
     if not all(1 <= side <= MAX_SIDE_PX for side in sides):
         raise CalibrationError(f"{where}: picture size {sides} is outside 1..{MAX_SIDE_PX}")
+    least, most = (factor * max(sides) for factor in FOCAL_SIDES)
     # written so that NaN fails as well
-    if not (0 < lens.fx_px < np.inf and 0 < lens.fy_px < np.inf):
-        raise CalibrationError(f"{where}: focal lengths must be positive numbers")
+    if not (least <= lens.fx_px <= most and least <= lens.fy_px <= most):
+        raise CalibrationError(
+            f"{where}: focal lengths {lens.fx_px:g}, {lens.fy_px:g} px are outside "
+            f"[{least:g}, {most:g}] for a picture of {sides[0]}x{sides[1]}"
+        )
     if not np.isfinite([lens.cx_px, lens.cy_px]).all():
         raise CalibrationError(f"{where}: the principal point is not finite")
     if lens.dist.shape != (N_DIST,) or not np.isfinite(lens.dist).all():
         raise CalibrationError(f"{where}: dist must be {N_DIST} finite numbers (k1 k2 p1 p2 k3)")
+    _check_invertible(lens, where)
+
+
+def _check_invertible(lens: Intrinsics, where: str) -> None:
+    """Refuse a distortion that folds the picture: a pixel must come back from its viewing ray."""
+    columns, rows = np.meshgrid(
+        np.linspace(0.0, lens.width_px - 1.0, 5), np.linspace(0.0, lens.height_px - 1.0, 5)
+    )
+    pixels = np.column_stack([columns.ravel(), rows.ravel()]).reshape(-1, 1, 2)
+    matrix = geometry.camera_matrix(lens)
+    flat = cv2.undistortPoints(pixels, matrix, lens.dist)
+    rays = cv2.convertPointsToHomogeneous(flat)
+    back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, lens.dist)
+    off_px = float(np.abs(back - pixels).max())
+    if not off_px <= MAX_FOLD_PX:
+        raise CalibrationError(
+            f"{where}: dist {lens.dist.tolist()} cannot be undone within the picture "
+            f"({off_px:.3g} px off, {MAX_FOLD_PX:g} allowed); calibrate the lens again"
+        )
 
 
 def _check_pose(pose: Array, where: str) -> None:
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise CalibrationError(f"{where}: table_from_cam must be 4 x 4 finite numbers")
+    if np.abs(pose[:3, 3]).max() > MAX_AWAY_M:
+        raise CalibrationError(f"{where}: the camera stands over {MAX_AWAY_M:g} m from the table")
     turn = pose[:3, :3]
     is_rotation = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0
     if not is_rotation or not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-12):

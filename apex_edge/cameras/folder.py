@@ -21,6 +21,7 @@ from apex_edge.cameras.calibration import load_camera
 from apex_edge.cameras.depth_unit import MM_M, to_mm
 from apex_edge.cameras.playback import Frames, PlaybackCamera
 from apex_edge.errors import RecordingError
+from apex_edge.pictures import decode
 from apex_edge.types import Array, Frame
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -158,13 +159,11 @@ def _in_order(
 def _read_picture(path: Path, flags: int, n_before: int) -> Array:
     # not cv2.imread: it returns None for a missing permission and a broken file alike
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        picture = decode(path.read_bytes(), flags)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error}") from error
-    picture = cv2.imdecode(data, flags) if data.size else None
     if picture is None:
         raise RecordingError(
             f"{path}: not a picture that OpenCV can read ({n_before} frames could be read before)"
         )
-    result: Array = picture
-    return result
+    return picture

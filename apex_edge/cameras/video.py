@@ -43,7 +43,8 @@ class VideoCamera(PlaybackCamera):
                 is_advancing = math.isfinite(stamp_s) and stamp_s > t_s
                 t_s = stamp_s if is_advancing else t_s + period_s
                 is_decoded, picture = capture.retrieve()
-                if not is_decoded:
+                # a damaged picture can count as decoded and still not be there
+                if not is_decoded or picture is None:
                     break
                 yield Frame(seq=seq, t_s=t_s, colour_bgr=picture)
                 seq += 1

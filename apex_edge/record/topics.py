@@ -15,6 +15,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 from apex_edge.errors import RecordingError
 from apex_edge.geometry import camera_matrix
+from apex_edge.pictures import decode
 from apex_edge.types import Array, CameraModel
 
 COLOUR = "/camera/colour"
@@ -152,16 +153,12 @@ def decode_picture(data: bytes, is_depth: bool) -> Array:
     ------
     ValueError : the bytes are not such a picture.
     """
-    if not data:
-        raise ValueError("empty picture")
-    flags = cv2.IMREAD_UNCHANGED if is_depth else cv2.IMREAD_COLOR
-    picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    picture = decode(data, cv2.IMREAD_UNCHANGED if is_depth else cv2.IMREAD_COLOR)
     if picture is None:
-        raise ValueError("picture bytes cannot be decoded")
+        raise ValueError(f"{len(data)} picture bytes cannot be decoded")
     if is_depth and (picture.dtype != np.uint16 or picture.ndim != 2):
         raise ValueError(f"depth is {picture.dtype} {picture.shape}, expected 16-bit grey")
-    result: Array = picture
-    return result
+    return picture
 
 
 def image_message(data: bytes, kind: str, nanoseconds: int) -> CompressedImage:

@@ -88,3 +88,26 @@ def test_lens_without_a_pose_is_kept_and_says_what_is_missing(tmp_path):
     assert np.array_equal(back.dist, lens.dist)
     with pytest.raises(CalibrationError, match="apex calibrate table"):
         load_camera(tmp_path / "lens.json")
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"fx_px": 1e308}, "focal lengths"),
+        ({"fy_px": 1e-6}, "focal lengths"),
+        ({"dist": np.array([-1.0, 0.0, 0.0, 0.0, 0.0])}, "cannot be undone"),
+        ({"dist": np.array([0.0, 0.0, 0.0, 0.0, 1e308])}, "cannot be undone"),
+        ({"table_from_cam": np.array(np.eye(4)) + np.eye(4, k=3) * 1e9}, "over 100 m"),
+    ],
+)
+def test_camera_that_would_make_up_positions_is_refused(tmp_path, change, message):
+    camera = dataclasses.replace(record_steps.camera_model(), **change)
+    with pytest.raises(CalibrationError, match=message):
+        save_camera(tmp_path / "c.json", camera, {})
+
+
+def test_strong_distortion_of_a_real_lens_is_kept(tmp_path):
+    strong = np.array([-0.35, 0.12, 0.001, -0.001, 0.0])
+    camera = dataclasses.replace(record_steps.camera_model(), dist=strong)
+    save_camera(tmp_path / "c.json", camera, {})
+    assert np.array_equal(load_camera(tmp_path / "c.json").dist, strong)

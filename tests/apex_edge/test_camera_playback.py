@@ -207,3 +207,25 @@ def test_calibration_file_changed_by_hand_is_refused(tmp_path):
     path.write_text(json.dumps(document))
     with pytest.raises(CalibrationError, match="hash"):
         play(write_folder(tmp_path / "a"), calibration=str(path)).open()
+
+
+def test_picture_that_counts_as_decoded_but_is_not_there_ends_the_video(tmp_path, monkeypatch):
+    path = write_video(tmp_path / "a.avi", [record_steps.picture(i) for i in range(6)])
+
+    class Damaged:
+        """What OpenCV does with some damaged MJPG frames."""
+
+        def __init__(self, name):
+            self.sound, self.n_asked = sound(name), 0
+
+        def __getattr__(self, name):
+            return getattr(self.sound, name)
+
+        def retrieve(self):
+            self.n_asked += 1
+            return self.sound.retrieve() if self.n_asked < 3 else (True, None)
+
+    sound = cv2.VideoCapture
+    monkeypatch.setattr(cv2, "VideoCapture", Damaged)
+    with pytest.raises(RecordingError, match="2 of 6 frames"):
+        read_all(play(path))
