@@ -19,6 +19,8 @@ from apex_edge.types import Array
 Box = Tuple[int, int, int, int]  # x0, y0, x1, y1; x1 and y1 are just outside
 _KERNEL = np.ones((3, 3), np.uint8)
 _FRINGE_SHARE = 0.15  # a region must keep this much after losing its rim
+_FULL_SHARE = 0.7  # of its outline's area is an object's own colour, but for highlights
+_FEW_NAMES = 3  # for so few a comparison each is cheaper than a histogram
 _FRAGMENT_SHARE = 0.3  # a piece this small beside a larger one is part of it
 _FRAGMENT_GAP_PX = 3
 _INLAY_SHARE = 0.1
@@ -28,9 +30,9 @@ _RIM = 2  # pixels around a region that may belong to it in part
 
 @dataclass
 class Blob:
-    """One region: ``label`` of its colour, ``core`` (h, w) uint8 mask without its rim.
+    """One region: ``label`` of its colour, ``body`` (h, w) uint8 mask of its pixels.
 
-    ``origin_px`` is the picture position of ``core[0, 0]``; ``box_px`` x, y, w, h; ``spread_px2``
+    ``origin_px`` is the picture position of ``body[0, 0]``; ``box_px`` x, y, w, h; ``spread_px2``
     the second central moments xx, xy, yy; ``contours`` count from ``window_px``. ``is_part`` says
     that it was cut out of a region that several objects share.
     """
@@ -41,12 +43,17 @@ class Blob:
     box_px: Tuple[int, int, int, int]
     touches_border: bool
     is_clipped: bool
-    core: Array
+    body: Array
     origin_px: Tuple[int, int]
     spread_px2: Tuple[float, float, float]
     contours: Tuple[Array, ...]
     window_px: Tuple[int, int]
     is_part: bool = False
+
+    @property
+    def core(self) -> Array:
+        """Return the mask without its rim, where colours and depths mix; as large as ``body``."""
+        return _erode(self.body)
 
     def outline_px(self) -> Array:
         """Return the border pixels (k, 2) in the picture."""
@@ -113,16 +120,19 @@ def find(
         x0, y0, x1, y1 = box
         word = words(bgr[y0:y1, x0:x1])
         labels = table.labels(word)
-        for label in _present(labels, len(table.names), config.min_area_px2):
-            view = _View(label, box, shape, word, table)
-            blobs.extend(_regions(cv2.compare(labels, label, cv2.CMP_EQ), view, config))
+        for label, mask in _present(labels, len(table.names), config.min_area_px2):
+            blobs.extend(_regions(mask, _View(label, box, shape, word, table), config))
     return _without_dirt(blobs, shape, config)
 
 
-def _present(labels: Array, n_names: int, least: float) -> List[int]:
-    """Return the labels, 1 .. n_names, that at least so many pixels have."""
-    counts = cv2.calcHist([labels], [0], None, [n_names + 1], [0, n_names + 1]).ravel().tolist()
-    return [label for label in range(1, n_names + 1) if counts[label] >= least]
+def _present(labels: Array, n_names: int, least: float) -> List[Tuple[int, Array]]:
+    """Return the labels, 1 .. n_names, that at least so many pixels have, each with its mask."""
+    wanted: Sequence[int] = range(1, n_names + 1)
+    if n_names > _FEW_NAMES:
+        counts = cv2.calcHist([labels], [0], None, [n_names + 1], [0, n_names + 1]).ravel()
+        wanted = [label for label in wanted if counts[label] >= least]
+    masks = [(label, cv2.compare(labels, label, cv2.CMP_EQ)) for label in wanted]
+    return [(label, mask) for label, mask in masks if cv2.countNonZero(mask) >= least]
 
 
 class _View(NamedTuple):
@@ -204,13 +214,16 @@ def _measure(solid: Array, group: Sequence[_Piece], view: _View) -> Optional[Blo
         box = _hull(box, piece.box)
     x0, y0 = max(0, box[0] - _RIM), max(0, box[1] - _RIM)
     x1, y1 = min(width, box[2] + _RIM), min(height, box[3] + _RIM)
-    filled = np.zeros((y1 - y0, x1 - x0), np.uint8)
     contours = [piece.contour for piece in group]
-    cv2.drawContours(filled, contours, -1, 255, cv2.FILLED, offset=(-x0, -y0))
-    body = cv2.bitwise_and(filled, solid[y0:y1, x0:x1])
-    core = _erode(body)
-    if cv2.countNonZero(core) < _FRINGE_SHARE * cv2.countNonZero(body):
+    filled = body = solid[y0:y1, x0:x1]
+    if len(group) > 1 or cv2.countNonZero(body) != group[0].area:
+        # holes, or something else within the box
+        filled = np.zeros(body.shape, np.uint8)
+        cv2.drawContours(filled, contours, -1, 255, cv2.FILLED, offset=(-x0, -y0))
+        body = cv2.bitwise_and(filled, body)
+    if _is_fringe(body, group):
         return None
+    # the rim counts by how much of it is of the colour
     coverage = view.table.coverage(view.word[y0:y1, x0:x1], view.label)
     weight = cv2.bitwise_and(cv2.dilate(filled, _KERNEL), coverage)
     moments = cv2.moments(cv2.max(weight, _erode(filled)))
@@ -225,7 +238,7 @@ def _measure(solid: Array, group: Sequence[_Piece], view: _View) -> Optional[Blo
         box_px=(left + box[0], top + box[1], box[2] - box[0], box[3] - box[1]),
         touches_border=any(e and b for e, b in zip(at_edge, at_border)),
         is_clipped=any(e and not b for e, b in zip(at_edge, at_border)),
-        core=core,
+        body=body,
         origin_px=(left + x0, top + y0),
         spread_px2=(moments["mu20"] / mass, moments["mu11"] / mass, moments["mu02"] / mass),
         contours=tuple(contours),
@@ -233,9 +246,20 @@ def _measure(solid: Array, group: Sequence[_Piece], view: _View) -> Optional[Blo
     )
 
 
+def _is_fringe(body: Array, group: Sequence[_Piece]) -> bool:
+    """Say whether hardly anything of a region is left without its rim.
+
+    A full outline tells by its area and length; a ring, or several pieces, have to be eroded.
+    """
+    n_body, (contour, area, _) = cv2.countNonZero(body), group[0]
+    if len(group) == 1 and n_body >= _FULL_SHARE * area:
+        return area - len(contour) < _FRINGE_SHARE * area
+    return cv2.countNonZero(_erode(body)) < _FRINGE_SHARE * n_body
+
+
 def _erode(mask: Array) -> Array:
-    """Take one pixel off a mask's rim; what lies beyond its array counts as outside."""
-    result: Array = cv2.erode(mask, _KERNEL, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    """Take one pixel off a mask's rim, but not off the end of its array."""
+    result: Array = cv2.erode(mask, _KERNEL)
     return result
 
 

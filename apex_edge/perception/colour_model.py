@@ -20,6 +20,7 @@ LUMA_SD = 0.45  # of log brightness: a factor of 0.5 to 2 costs little
 HUE_SD_RAD = 0.05  # white balance drifts by about this much
 SATURATION_SD = 0.2  # relative: motion blur mixes the background in
 FLOOR = 0.5  # least share of the model's own saturation
+_LEAST_LIGHT = 36.0  # of the strongest channel; a dark green ball in a dim room has 60
 _LEAST_HUE = 3.0 * NOISE_COUNTS  # between the strongest and the weakest channel
 _DARK = 15.0  # keeps the chromaticity of near-black pixels from exploding
 
@@ -150,5 +151,6 @@ def has_hue() -> Array:
     Near black every hue is within the noise; shadows and damaged pictures are full of it.
     """
     bgr = word_bgr()
-    result: Array = bgr.max(axis=1) - bgr.min(axis=1) >= _LEAST_HUE
+    brightest = bgr.max(axis=1)
+    result: Array = (brightest - bgr.min(axis=1) >= _LEAST_HUE) & (brightest >= _LEAST_LIGHT)
     return result

@@ -29,7 +29,9 @@ _CURVED = {
 }  # chi-square of curvature that one line in 2000 shows by chance
 _MISFIT_SIGMA = 4.0
 _LEAN_SHARE = 0.4  # the newest samples pull the fit, so their residuals are small
-_ONSET = 0.1  # of the noise per frame: motion that has just begun goes unnoticed
+# Of the noise (between what is stated and what was shown) per frame: what has just begun to move is
+# seen late, and by more than its noise at rest lets think.
+_ONSET = 0.1
 _MIN_NOISE, _N_NOISE = 8, 25
 _MIN_NOISE_RATIO, _MAX_NOISE_RATIO = 0.3, 4.0  # of the stated noise, for gates and fits
 _LEAST_NOISE = 0.05  # of the stated noise, for what is told
@@ -193,7 +195,8 @@ class MotionEstimator(Estimator):
         """Return the sd of the speed that motion begun within the last frames leaves."""
         samples = self._window
         span = samples[-1].t_s - samples[0].t_s
-        return _ONSET * self._shown(samples[-1].sd) * (len(samples) - 1) / span if span > 0 else 0.0
+        noise = math.sqrt(self._shown(samples[-1].sd) * samples[-1].sd)
+        return _ONSET * noise * (len(samples) - 1) / span if span > 0.0 else 0.0
 
     def _doubt(self) -> Tuple[float, float]:
         """Return the mean square by which the newest miss is off, and for how long already."""
@@ -256,8 +259,9 @@ class MotionEstimator(Estimator):
 
     def _note_innovation(self, sample: Sample) -> None:
         """Hold a new sighting against what was predicted of it."""
-        if self._fit is None or len(self._window) < self._rules.min_samples:
-            return
+        is_young = len(self._window) < self._rules.min_samples
+        if self._fit is None or is_young or self._waiting:
+            return  # a prediction in doubt says nothing of the fit
         state, dim = self.predict(sample.t_s), len(sample.x)
         miss = sample.x - state.x
         variance = np.diag(state.cov)[:dim] + self.noise_sd(sample.sd) ** 2

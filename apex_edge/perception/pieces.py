@@ -41,13 +41,13 @@ def _near_only(blob: Blob, depth_mm: Array) -> Blob:
 
 
 def _inside(blob: Blob, contours: Sequence[Array]) -> Array:
-    """Return the part of the blob's core that lies inside some of its outlines."""
-    result: Array = cv2.bitwise_and(_filled(blob, contours), blob.core)
+    """Return the part of the blob's body that lies inside some of its outlines."""
+    result: Array = cv2.bitwise_and(_filled(blob, contours), blob.body)
     return result
 
 
 def _filled(blob: Blob, contours: Sequence[Array]) -> Array:
-    mask = np.zeros(blob.core.shape, np.uint8)
+    mask = np.zeros(blob.body.shape, np.uint8)
     offset = (blob.window_px[0] - blob.origin_px[0], blob.window_px[1] - blob.origin_px[1])
     cv2.drawContours(mask, list(contours), -1, 255, cv2.FILLED, offset=offset)
     result: Array = mask
@@ -70,7 +70,7 @@ def _of_pieces(blob: Blob, contours: Sequence[Array], depth_mm: Array) -> Blob:
         area_px2=mass,
         box_px=(x, y, width, height),
         touches_border=blob.touches_border and not is_inside,
-        core=_inside(blob, contours),
+        body=_inside(blob, contours),
         spread_px2=(moments["mu20"] / mass, moments["mu11"] / mass, moments["mu02"] / mass),
         contours=tuple(contours),
     )

@@ -207,13 +207,13 @@ def _fit(outline: Array, centres: Array, radii: Array) -> Tuple[Array, Array, Ar
 
 
 def _piece(blob: Blob, centres: Array, radii: Array, row: int, outline: Array) -> Blob:
-    """Return one object of a shared blob, with the part of the core that is nearest to it."""
-    rows, columns = np.nonzero(blob.core)
+    """Return one object of a shared blob, with the part of the body that is nearest to it."""
+    rows, columns = np.nonzero(blob.body)
     points = np.column_stack([columns, rows]) + np.array(blob.origin_px, dtype=np.float64)
     share = np.linalg.norm(points[:, None] - centres[None], axis=2) / radii
     mine = np.argmin(share, axis=1) == row
-    core = np.zeros_like(blob.core)
-    core[rows[mine], columns[mine]] = blob.core[rows[mine], columns[mine]]
+    body = np.zeros_like(blob.body)
+    body[rows[mine], columns[mine]] = blob.body[rows[mine], columns[mine]]
     (x, y), radius = centres[row].tolist(), float(radii[row])
     low, high = np.floor([x - radius, y - radius]), np.ceil([x + radius, y + radius])
     contour = outline.astype(np.int32)[:, None] - np.array(blob.window_px, dtype=np.int32)
@@ -222,7 +222,7 @@ def _piece(blob: Blob, centres: Array, radii: Array, row: int, outline: Array) -
         centre_px=(x, y),
         area_px2=float(np.pi * radius**2),
         box_px=(int(low[0]), int(low[1]), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1),
-        core=core,
+        body=body,
         spread_px2=(0.25 * radius**2, 0.0, 0.25 * radius**2),
         contours=(contour,),
         is_part=True,

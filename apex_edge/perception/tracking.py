@@ -26,7 +26,7 @@ from apex_edge.types import Array, CameraModel, Detections, Tracks, TrackStatus
 # well known than that of a whole object.
 _FRAGMENT_RADII = 2.5
 _GATE_RADII = 1.0  # two sightings within one object radius may always be the same object
-_FALL_RADII_S2 = 150.0  # free fall of a ball of 65 mm radius
+_FALL_RADII_S2 = 300.0  # free fall of a tennis ball
 _SIZES = (0.4, 2.2)  # radius of a sighting over that of its track
 
 
@@ -188,7 +188,7 @@ class Tracker:
         track = self._tracks[index]
         sd = float(np.sqrt(state.cov.diagonal()[: len(state.x)].max()))
         swing = 2.0 * float(np.linalg.norm(state.v)) * (t_s - track.last.t_s)
-        return 4.0 * (sd + track.pos_sd) + swing + _GATE_RADII * track.size
+        return 4.0 * float(np.hypot(sd, track.pos_sd)) + swing + _GATE_RADII * track.size
 
     def _is_fragment(self, name: str, sighting: Sighting) -> bool:
         """Say whether a sighting lies inside an object that is already followed.
