@@ -6,7 +6,7 @@ statistics cost 28 us for a window of 64 px where tracing takes 5 (measured).
 """
 
 from dataclasses import dataclass
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import List, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -148,16 +148,9 @@ class _View(NamedTuple):
 def _without_dirt(
     blobs: List[Blob], shape: Tuple[int, int], config: PerceptionConfig
 ) -> List[Blob]:
-    """Drop what is too small beside the largest of its colour, too large, or inside another."""
-    largest: Dict[int, float] = {}
-    for blob in blobs:
-        largest[blob.label] = max(largest.get(blob.label, 0.0), blob.area_px2)
+    """Drop what is too large, or inside another."""
     limit = config.max_area_share * shape[0] * shape[1]
-    kept = [
-        blob
-        for blob in blobs
-        if config.min_relative_area * largest[blob.label] <= blob.area_px2 <= limit
-    ]
+    kept = [blob for blob in blobs if blob.area_px2 <= limit]
     kept = [blob for blob in kept if not any(_is_inlay(blob, other) for other in kept)]
     return sorted(kept, key=lambda blob: (blob.label, -blob.area_px2, blob.box_px))
 

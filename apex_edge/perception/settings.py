@@ -20,7 +20,7 @@ class PerceptionConfig:
     min_area_px2: float = setting(30.0, "smallest blob at full resolution, px^2", 4.0, 1e6)
     max_area_share: float = setting(0.25, "largest blob, share of the picture", 0.001, 1.0)
     min_relative_area: float = setting(
-        0.05, "drop a blob smaller than this share of the largest one of its colour", 0.0, 1.0
+        0.05, "drop a blob smaller than this share of the largest of its colour lately", 0.0, 1.0
     )
     search_width_px: int = setting(320, "width at which the whole picture is searched", 80, 4096)
     search_every: int = setting(3, "search the whole picture every k-th frame", 1, 1000)

@@ -13,6 +13,7 @@ from apex_edge.perception.drift import DriftWatch
 from apex_edge.perception.pieces import drop_far
 from apex_edge.perception.settings import PerceptionConfig, ball_radii
 from apex_edge.perception.sharing import Outlook, part
+from apex_edge.perception.strays import SizeMemory
 from apex_edge.perception.tracking import Tracker
 from apex_edge.types import Detections, Frame, Tracks
 
@@ -37,6 +38,7 @@ class Perception:
         self._config = config
         self._colours = colours
         self._tracker = Tracker(config)
+        self._sizes = SizeMemory(config.min_relative_area)
         self.drift = DriftWatch(colours.models)
         self._last_t_s = -math.inf
         self._n_until_search = 0
@@ -44,6 +46,7 @@ class Perception:
     def reset(self) -> None:
         """Forget all tracks and start anew; track ids are not used again."""
         self._tracker.reset()
+        self._sizes.reset()
         self._last_t_s = -math.inf
         self._n_until_search = 0
 
@@ -92,6 +95,7 @@ class Perception:
 
     def _tell_apart(self, frame: Frame, found: List[Blob], outlook: Outlook) -> Detections:
         """Cut blobs that several tracks share, and place what can be told."""
+        found = self._sizes.without_strays(found, frame.t_s, outlook, self._colours.names)
         found = drop_far(found, frame.depth_mm)
         told, hidden = part(found, outlook, self._colours.names)
         self._tracker.hide(hidden)

@@ -362,3 +362,22 @@ def test_projection_of_a_placed_ball_is_its_blob():
     detections, _ = perception().step(f)
     pixels, _ = project(CAMERA, detections.pos_m)
     assert np.hypot(*(pixels[0] - detections.centre_px[0])) <= 0.2
+
+
+def test_scrap_left_when_the_object_has_gone_is_not_the_object():
+    stage = perception()
+    run(stage, [frame(seq, [("orange", 300.0, 200.0, 38.0)]) for seq in range(10)])
+    tracks = run(stage, [frame(seq, [("orange", 636.0, 250.0, 5.0)]) for seq in range(10, 40)])
+    assert not any((t.status == TrackStatus.SEEN).any() for t in tracks)
+
+
+def test_small_object_stays_itself_beside_a_large_one_of_its_colour():
+    stage, small = perception(), ("orange", 500.0, 300.0, 6.0)
+    run(stage, [frame(seq, [small]) for seq in range(10)])
+    (track_id,) = stage.step(frame(10, [small]))[1].track_id
+    both = run(
+        stage, [frame(seq, [small, ("orange", 200.0, 200.0, 40.0)]) for seq in range(11, 30)]
+    )
+    alone = run(stage, [frame(seq, [small]) for seq in range(30, 50)])
+    for tracks in both + alone:
+        assert tracks.status[list(tracks.track_id).index(track_id)] == TrackStatus.SEEN
