@@ -11,11 +11,15 @@ from typing import Callable, List, Optional
 import numpy as np
 
 from apex_edge.cameras.base import Camera
+from apex_edge.cameras.calibration import check_size
 from apex_edge.errors import CalibrationError, CameraError
-from apex_edge.types import Array
+from apex_edge.types import Array, Intrinsics
+from calib.boards import Board, require_origin
+from calib.detect import detect
 from calib.hand_eye_checks import MIN_POSES, motion_of
+from calib.planar_pose import two_poses
 from calib.pose_pairs import PosePairs, read_numbers
-from calib.rigid import angle_between_rad
+from calib.rigid import angle_between_rad, inverse
 from calib.verdict import judge
 from firmware_bridge.errors import MotionRefused
 from firmware_bridge.guard import Limits, check_path
@@ -57,6 +61,26 @@ def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses:
         )
     chosen = _most_different(arm, np.array(able), n_poses)
     return _in_order(arm, chosen[np.lexsort((chosen[:, 1], np.round(chosen[:, 0], 1)))])
+
+
+def detector(lens: Intrinsics, board: Board) -> Detector:
+    """Return what finds the pose of a board in a picture; its origin is the same in every view.
+
+    Raises
+    ------
+    CalibrationError : the board looks the same upside down; later, pictures of another size.
+    """
+    require_origin(board)
+
+    def look(picture: Array) -> Optional[Array]:
+        check_size(lens, picture, "camera")
+        view = detect(picture, board)
+        if view is None:
+            return None
+        better, _ = two_poses(lens, view.corners_px, view.points_m)
+        return inverse(better.camera.table_from_cam)
+
+    return look
 
 
 def read_poses(path: Path, arm: ArmModel) -> Array:

@@ -13,6 +13,7 @@ from typing import List, Sequence
 import numpy as np
 
 from apex_edge.errors import CalibrationError
+from apex_edge.geometry import is_rigid
 from apex_edge.types import Array
 from calib.rigid import pose, quaternion_from_turn, turn_from_quaternion
 
@@ -58,10 +59,7 @@ def pairs_from(base_from_gripper: Array, cam_from_target: Array) -> PosePairs:
         )
     for name, poses in (("base_from_gripper", gripper), ("cam_from_target", target)):
         for index, each in enumerate(poses):
-            turn = each[:3, :3]
-            # written so that NaN is refused
-            is_rigid = np.abs(turn @ turn.T - np.eye(3)).max(initial=0.0) <= 1e-6
-            if not (is_rigid and np.linalg.det(turn) > 0 and np.isfinite(each).all()):
+            if not is_rigid(each):
                 raise CalibrationError(f"pair {index + 1}: {name} is not a rigid transform")
     return PosePairs(gripper, target, np.arange(1, len(gripper) + 1))
 

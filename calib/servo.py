@@ -14,7 +14,8 @@ import numpy as np
 from apex_edge.errors import CalibrationError
 from apex_edge.types import Array
 from calib.pose_pairs import read_cells
-from calib.verdict import WARN, Limit, Verdict, judge, worst
+from calib.spread import rms
+from calib.verdict import WARN, Limit, Verdict, judge, known, worst
 from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US
 
 COLUMNS = ("servo_id", "pulse_us", "angle_deg", "direction")
@@ -69,12 +70,8 @@ class ServoFit:
 
     def plain(self) -> Dict[str, Any]:
         """Return it as plain values, with null for what is not known."""
-        values = {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in asdict(self).items()
-        }
-        values["rejected"] = [{"row": row, "why": why} for row, why in self.rejected]
-        return {**values, "reasons": list(self.reasons)}
+        rejected = [{"row": row, "reason": why} for row, why in self.rejected]
+        return {**known(asdict(self)), "reasons": list(self.reasons), "rejected": rejected}
 
 
 class _Numbers(NamedTuple):
@@ -195,9 +192,9 @@ def _fit(samples: ServoSamples) -> ServoFit:
         float(abs(us_per_rad / slope)) * math.sqrt(line.cov[1, 1]),
         2.0 * abs(float(line.beta[2])) if is_both else math.nan,
         2.0 * math.sqrt(line.cov[2, 2]) if is_both else math.nan,
-        _rms(line.residual[up]),
-        _rms(line.residual[down]),
-        _rms(line.residual / np.maximum(1.0 - line.leverage, 1e-6)),
+        rms(line.residual[up]),
+        rms(line.residual[down]),
+        rms(line.residual / np.maximum(1.0 - line.leverage, 1e-6)),
     )
     verdict = judge([*early, *_limits(values, 1.0 - kept.mean())])
     bend_deg, is_bent = _bend(used)
@@ -327,7 +324,3 @@ def _bend(samples: ServoSamples) -> Tuple[float, bool]:
     line = _least_squares(np.column_stack([design, curve]), samples.angle_deg)
     bend, sd = float(line.beta[-1]), math.sqrt(float(line.cov[-1, -1]))
     return bend, abs(bend) > max(3.0 * sd, GOOD_DEG)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan

@@ -16,6 +16,7 @@ import numpy as np
 
 from apex_edge import documents
 from apex_edge.errors import CalibrationError
+from apex_edge.geometry import is_rigid
 from apex_edge.types import Array, CameraModel, Intrinsics
 
 FORMAT = "apex-camera"
@@ -126,8 +127,8 @@ def _from_plain(values: Mapping[str, Any], where: str) -> Intrinsics:
     except (TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(f"{where}: camera: {error}") from error
     _check_lens(lens, where)
-    if isinstance(lens, CameraModel):
-        _check_pose(lens.table_from_cam, where)
+    if isinstance(lens, CameraModel) and not is_rigid(lens.table_from_cam):
+        raise CalibrationError(f"{where}: table_from_cam is not a rigid transform (4 x 4)")
     return lens
 
 
@@ -142,12 +143,3 @@ def _check_lens(lens: Intrinsics, where: str) -> None:
         raise CalibrationError(f"{where}: the principal point is not finite")
     if lens.dist.shape != (N_DIST,) or not np.isfinite(lens.dist).all():
         raise CalibrationError(f"{where}: dist must be {N_DIST} finite numbers (k1 k2 p1 p2 k3)")
-
-
-def _check_pose(pose: Array, where: str) -> None:
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise CalibrationError(f"{where}: table_from_cam must be 4 x 4 finite numbers")
-    turn = pose[:3, :3]
-    is_rotation = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0
-    if not is_rotation or not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-12):
-        raise CalibrationError(f"{where}: table_from_cam is not a rigid transform")

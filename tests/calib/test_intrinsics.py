@@ -54,8 +54,8 @@ def test_k3_is_fitted_where_the_views_show_it():
     strong = default_lens(640, 480)
     strong.dist[:] = (-0.3, 0.15, 0.0, 0.0, -0.2)
     result = intrinsics.solve(good_views(n=24, lens=strong), SIZE, CHESS)
-    assert result.lens.dist[4] == pytest.approx(-0.2, abs=5 * result.dist_sd[4])
-    assert result.dist_sd[4] > 0.0
+    assert result.lens.dist[4] == pytest.approx(-0.2, abs=5 * result.sd_dist[4])
+    assert result.sd_dist[4] > 0.0
 
 
 def test_more_noise_gives_more_stated_uncertainty():
