@@ -89,7 +89,7 @@ class ColourResult:
     @property
     def verdict(self) -> Verdict:
         """Return the worst verdict of all colours, with every reason and whose it is."""
-        reasons = [f"{q.name}: {reason}" for q in self.quality for reason in q.reasons]
+        reasons = [f"colour {q.name!r}: {reason}" for q in self.quality for reason in q.reasons]
         return Verdict(worst([quality.verdict for quality in self.quality]), tuple(reasons))
 
     def colours(self) -> List[Dict[str, Any]]:

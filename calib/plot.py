@@ -32,6 +32,12 @@ def sheet(height_px: int) -> Array:
     return np.full((height_px, WIDTH_PX, 3), 255, dtype=np.uint8)
 
 
+def enlarged(photo: Array) -> Tuple[Array, int]:
+    """Return a photo (h, w, 3) at least as wide as a sheet, and how many times larger it is."""
+    scale = max(1, -(-WIDTH_PX // photo.shape[1]))
+    return cv2.resize(photo, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), scale
+
+
 def write(
     picture: Array, text: str, at_px: Tuple[int, int], size: float = 0.4, colour: Bgr = INK
 ) -> None:

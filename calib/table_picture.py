@@ -2,7 +2,6 @@
 
 from typing import Optional, Tuple
 
-import cv2
 import numpy as np
 
 from apex_edge.geometry import project
@@ -26,8 +25,7 @@ def draw(picture: Optional[Array], result: TableResult, shown: Sighting) -> Arra
     camera = result.camera
     if picture is None:
         picture = np.full((camera.height_px, camera.width_px, 3), 70, np.uint8)
-    scale = max(1, -(-plot.WIDTH_PX // camera.width_px))
-    frame = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    frame, scale = plot.enlarged(picture)
     _grid(frame, camera, scale)
     reach = 0.1
     for axis, name, colour in zip(np.eye(3), "xyz", AXES):

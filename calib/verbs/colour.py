@@ -92,14 +92,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _lines(result: colour.ColourResult) -> List[str]:
-    lines = []
-    for quality in result.quality:
-        lines.append(
-            f"{quality.name}: {quality.verdict}; finds {quality.recall:.1%} of its own pixels, "
-            f"takes {quality.false_share:.3%} of the background"
-        )
-        lines += [f"  {reason}" for reason in quality.reasons]
-    return lines
+    told = [f"  {reason}" for reason in result.verdict.reasons]
+    return [f"{result.verdict.grade}: {len(result.quality)} colours", *_shares(result), *told]
+
+
+def _shares(result: colour.ColourResult) -> List[str]:
+    return [
+        f"{each.name}: finds {each.recall:.1%} of its own pixels, takes {each.false_share:.3%} of "
+        "the background"
+        for each in result.quality
+    ]
 
 
 def _picture(picture: Array, result: colour.ColourResult, samples: List[colour.Sample]) -> Array:
@@ -107,15 +109,11 @@ def _picture(picture: Array, result: colour.ColourResult, samples: List[colour.S
     grey = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
     shown: Array = (0.5 * grey).astype(np.uint8)
     shown[result.labels > 0] = picture[result.labels > 0]
+    frame, scale = plot.enlarged(shown)
     for sample in samples:
-        centre = np.array([sample.x_px, sample.y_px])
-        plot.disc(shown, centre, sample.radius_px, (255, 255, 255), 1)
-        below = (round(sample.x_px), round(sample.y_px + sample.radius_px) + 14)
-        plot.label(shown, sample.name, below, 0.45)
-    headline = "; ".join(
-        f"{each.name}: finds {each.recall:.1%} of its own pixels, takes {each.false_share:.3%} of "
-        "the background"
-        for each in result.quality
-    )
-    facts = ["in full colour: what would be detected; circles: the samples"]
-    return plot.with_panel(shown, result.verdict, headline, facts)
+        centre = scale * (np.array([sample.x_px, sample.y_px]) + 0.5)
+        plot.disc(frame, centre, scale * sample.radius_px, (255, 255, 255), 2)
+        below = (round(centre[0]), round(centre[1] + scale * sample.radius_px) + 20)
+        plot.label(frame, sample.name, below, 0.6)
+    headline = "in full colour: what would be detected; circles: the samples"
+    return plot.with_panel(frame, result.verdict, headline, _shares(result))

@@ -25,7 +25,7 @@ from calib.hand_eye_file import load_hand_eye
 from calib.pose_pairs import read_pairs
 from calib.rigid import inverse, pose, turn_from_vector
 from calib.servo import solve as solve_servo
-from calib.simulated import BoardRenderer, Look
+from calib.simulated import BoardRenderer, Look, board_pose
 from calib.verbs import hand_eye as verb
 from calib.verbs import servo as servo_verb
 from firmware_bridge.errors import LinkLost, MotionRefused
@@ -102,6 +102,7 @@ class HandCamera(Camera):
         self._bench, self._arm, self._seq = bench, arm, 0
         self._rng = np.random.RandomState(0)
         self._renderer = BoardRenderer(BOARD, LENS)
+        self._gripper = self._shown = None
 
     def open(self):
         pass
@@ -113,8 +114,9 @@ class HandCamera(Camera):
         self._bench.pass_time(0.25)
         self._seq += 1
         gripper = self._arm.gripper_pose(self._bench.firmware.joints_rad)[0]
-        cam_from_target = inverse(gripper @ HAND) @ TARGET
-        return Frame(self._seq, self._bench.t_s, self._draw(cam_from_target), None, None, False)
+        if self._gripper is None or np.abs(gripper - self._gripper).max() > 1e-6:
+            self._gripper, self._shown = gripper, self._draw(inverse(gripper @ HAND) @ TARGET)
+        return Frame(self._seq, self._bench.t_s, self._shown, None, None, False)
 
     def _draw(self, cam_from_target):
         return self._renderer.render(cam_from_target, Look(), self._rng)
@@ -177,6 +179,17 @@ def test_the_drawn_board_is_found_where_it_is(arm, bench):
     assert n_seen >= 12
     assert worst_mm < 2.0
     assert worst_deg < 2.0
+
+
+def test_a_charuco_board_is_found_and_a_symmetric_one_refused():
+    board = parse_board("charuco:7x5", 0.012)
+    expected = board_pose(board, np.array([0.01, 0.0, 0.2]), 25.0, 10.0, 170.0)
+    picture = BoardRenderer(board, LENS).render(expected, Look(), np.random.RandomState(0))
+    mm, deg = apart(hand_eye_live.detector(LENS, board)(picture), expected)
+    assert mm < 1.0
+    assert deg < 1.0
+    with pytest.raises(CalibrationError, match="same after half a turn"):
+        hand_eye_live.detector(LENS, parse_board("8x6", 0.01))
 
 
 def test_live_round_finds_the_true_camera_on_the_simulated_gripper(arm, bench):
@@ -290,12 +303,13 @@ def desk(arm, bench, tmp_path, monkeypatch):
 
 
 def words(config, out, *more):
-    return ["calibrate", "hand-eye", "--config", str(config), "--out", str(out), "--json", *more]
+    given = ["--config", str(config), "--board", "9x6", "--square-mm", "10", "--out", str(out)]
+    return ["calibrate", "hand-eye", *given, "--json", *more]
 
 
 def test_verb_drives_the_arm_and_keeps_the_pairs_beside_the_result(desk, tmp_path, capsys):
     out = tmp_path / "handeye.json"
-    assert main(words(desk, out, "--board", "9x6", "--square-mm", "10", "--yes")) == 0
+    assert main(words(desk, out, "--yes")) == 0
     captured = capsys.readouterr()
     told = json.loads(captured.out)
     assert "Ctrl-C stops the arm" in captured.err
@@ -309,7 +323,7 @@ def test_verb_drives_the_arm_and_keeps_the_pairs_beside_the_result(desk, tmp_pat
 @pytest.mark.parametrize("answer", ["no\n", "y\n", ""])
 def test_nothing_moves_without_a_plain_yes(desk, bench, tmp_path, monkeypatch, capsys, answer):
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
-    assert main(words(desk, tmp_path / "h.json", "--board", "9x6", "--square-mm", "10")) == 2
+    assert main(words(desk, tmp_path / "h.json")) == 2
     assert "nothing was moved" in capsys.readouterr().err
     bench.pass_time(0.1)
     assert bench.firmware.n_frames == 0
@@ -320,17 +334,14 @@ def test_nothing_moves_without_a_plain_yes(desk, bench, tmp_path, monkeypatch, c
     "settings, reason",
     [
         ('[camera]\ntype = "hand"\n', "serial port of a real arm"),
-        ('[camera]\ntype = "hand"\n[arm]\nport = "/dev/ttyX"\n', "calibration must name"),
+        ('[camera]\ntype = "hand"\n[arm]\nport = "/dev/ttyX"\n', "calibration under [camera]"),
         ('[arm]\nprot = "/dev/ttyX"\n', "unknown key 'prot'"),
     ],
 )
 def test_settings_that_cannot_serve_are_refused(tmp_path, capsys, settings, reason):
     config = tmp_path / "apex.toml"
     config.write_text(settings)
-    assert (
-        main(words(config, tmp_path / "h.json", "--board", "9x6", "--square-mm", "10", "--yes"))
-        == 2
-    )
+    assert main(words(config, tmp_path / "h.json", "--yes")) == 2
     assert reason in capsys.readouterr().err
 
 
