@@ -7,6 +7,7 @@ from calib import plot
 from calib.hand_eye import HandEyeResult, Solution
 from calib.hand_eye_checks import GOOD_DEG, GOOD_MM
 
+_N_NAMED = 4
 _VIEWS = (("from above", 0, 1), ("from the side", 0, 2), ("from the front", 1, 2))
 
 
@@ -20,16 +21,18 @@ def draw(result: HandEyeResult) -> Array:
     found = result.solution
     if found is None:
         raise ValueError("nothing was solved, so there is nothing to draw")
-    picture = plot.sheet(680)
+    picture = plot.sheet(660)
     _bars(picture, found)
     seen = 1e3 * found.base_from_target[:, :3, 3]
     off = seen - seen.mean(axis=0)
     reach = 1.15 * max(float(np.abs(off).max()), GOOD_MM)
-    names = [str(row) for row in found.row]
+    # names of all would hide each other
+    far = np.argsort(-np.linalg.norm(off, axis=1))[:_N_NAMED]
+    names = [str(row) if i in far else "" for i, row in enumerate(found.row)]
     angle = np.linspace(0.0, 2.0 * np.pi, 60)
     for index, (view, across, up) in enumerate(_VIEWS):
-        box = (60 + index * 310, 400, 240, 240)
-        label = f"target {view}: {'xyz'[across]}, {'xyz'[up]} of the base (mm)"
+        box = (60 + index * 310, 380, 240, 240)
+        label = f"target {view}: {'xyz'[up]} over {'xyz'[across]} (mm)"
         chart = plot.Chart(picture, box, (-reach, reach), (-reach, reach), label)
         chart.line(GOOD_MM * np.cos(angle), GOOD_MM * np.sin(angle), plot.GREEN)
         chart.dots(off[:, across], off[:, up], plot.BLUE, names)
@@ -53,7 +56,7 @@ def _bars(picture: Array, found: Solution) -> None:
         ((found.error_mm, GOOD_MM, "mm"), (found.error_deg, GOOD_DEG, "deg"))
     ):
         top = 1.1 * max(float(errors.max()), limit)
-        box = (60, 60 + index * 160, 880, 110)
+        box = (60, 34 + index * 160, 880, 110)
         label = f"error ({unit}) of each row's pose, foretold by the others; line: limit of the RMS"
         chart = plot.Chart(picture, box, x_range, (0.0, top), label)
         chart.bars(found.row, errors, 0.7, plot.BLUE if index == 0 else plot.ORANGE)

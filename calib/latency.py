@@ -56,8 +56,8 @@ class LatencyResult:
     def figures(self) -> Dict[str, Any]:
         """Return all figures as plain values, for the file and for ``--json``; null: not known."""
         values = known(asdict(self))
-        del values["curve"]
-        return {**values, **self.verdict.plain()}
+        del values["verdict"], values["curve"]
+        return {**self.verdict.plain(), **values}
 
 
 class _Fit(NamedTuple):

@@ -12,7 +12,7 @@ from calib.intrinsics import GRID, IntrinsicsResult
 
 ARROW_PX = 18.0  # the median residual is drawn this long
 BORDER, EMPTY, FILLED = (28, 24, 22), (46, 36, 74), (58, 88, 44)
-DOT, BENT, COUNT = (235, 200, 90), (170, 170, 170), (150, 150, 150)
+DOT, BENT, COUNT = (235, 200, 90), (170, 170, 170), (200, 200, 200)
 
 
 def draw(result: IntrinsicsResult) -> Array:
@@ -49,7 +49,7 @@ def coverage_picture(coverage: Array, size_px: Tuple[int, int]) -> Array:
             colour = np.add(FILLED, 30.0 * share) if count else np.array(EMPTY)
             frame[y0:y1, x0:x1] = colour
             frame[y0, x0:x1] = frame[y0:y1, x0] = BORDER
-            plot.write(frame, str(count), (x0 + 6, y0 + 18), 0.45, COUNT)
+            plot.label(frame, str(count), (x0 + 6, y0 + 18), 0.45, COUNT)
     return frame
 
 
@@ -75,7 +75,7 @@ def _with_facts(frame: Array, result: IntrinsicsResult, magnified: float) -> Arr
     worst = int(np.argmax(result.view_rms_px))
     headline = (
         f"RMS {result.rms_px:.3f} px over {len(result.views)} views, worst "
-        f"{result.views[worst].name} {result.view_rms_px[worst]:.2f} px; "
+        f"{result.views[worst].name}: {result.view_rms_px[worst]:.2f} px; "
         f"{len(result.rejected)} left out"
     )
     facts = [

@@ -1,5 +1,6 @@
 """What the pictures that calibrations leave share: lines of text, the verdict's panel, charts."""
 
+import textwrap
 from typing import Optional, Sequence, Tuple, Union
 
 import cv2
@@ -23,6 +24,7 @@ WIDTH_PX = 960
 _GRADES = {PASS: (110, 205, 80), WARN: (50, 170, 245)}
 _REFUSED: Bgr = (70, 70, 240)
 _PANEL, _PANEL_INK, _LINE_PX = (28, 24, 22), (240, 240, 240), 24
+_LETTER_PX = 8  # wide, about
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
 
@@ -72,12 +74,15 @@ def _fixed(point: Array) -> Tuple[int, int]:
 
 def with_panel(picture: Array, verdict: Verdict, headline: str, facts: Sequence[str]) -> Array:
     """Return the picture (h, w, 3) with a panel below: verdict, facts, and the reasons in full."""
-    told = [f"{verdict.grade.upper()}   {headline}", *facts, *verdict.reasons]
-    panel = np.empty((_LINE_PX * len(told) + 12, picture.shape[1], 3), np.uint8)
+    grade = _GRADES.get(verdict.grade, _REFUSED)
+    told = [(f"{verdict.grade.upper()}   {headline}", grade)]
+    told += [(fact, _PANEL_INK) for fact in facts]
+    told += [(reason, grade) for reason in verdict.reasons]
+    n_letters = picture.shape[1] // _LETTER_PX
+    lines = [(part, colour) for line, colour in told for part in textwrap.wrap(line, n_letters)]
+    panel = np.empty((_LINE_PX * len(lines) + 12, picture.shape[1], 3), np.uint8)
     panel[:] = _PANEL
-    for number, line in enumerate(told):
-        is_verdict = number == 0 or number > len(facts)
-        colour = _GRADES.get(verdict.grade, _REFUSED) if is_verdict else _PANEL_INK
+    for number, (line, colour) in enumerate(lines):
         write(panel, line, (10, _LINE_PX * (number + 1) - 4), 0.5, colour)
     return np.vstack([picture, panel])
 

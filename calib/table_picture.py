@@ -39,7 +39,7 @@ def draw(picture: Optional[Array], result: TableResult, shown: Sighting) -> Arra
     return _with_facts(frame, result)
 
 
-def _grid(frame: Array, camera: CameraModel, scale: float) -> None:
+def _grid(frame: Array, camera: CameraModel, scale: int) -> None:
     """Draw lines every 5 cm over the table in and around the workspace, with x and y in cm."""
     x = np.arange(0.0, WORKSPACE_X_M[1] + 1e-9, STEP_M)
     y = np.arange(WORKSPACE_Y_M[0], WORKSPACE_Y_M[1] + 1e-9, STEP_M)
@@ -51,10 +51,22 @@ def _grid(frame: Array, camera: CameraModel, scale: float) -> None:
         ends = np.column_stack([fine * x[-1], np.full(40, value), np.zeros(40)])
         _line(frame, camera, ends, (GRID, scale))
     for value in x[2::2]:
-        _label(frame, camera, np.array([value, 0.0, 0.0]), f"{100 * value:.0f}", EDGE)
-    for value in y[::2]:
-        if abs(value) > 1e-6:
-            _label(frame, camera, np.array([0.0, value, 0.0]), f"{100 * value:.0f}", EDGE)
+        where = np.column_stack([np.full(len(y), value), y[np.argsort(np.abs(y))]])
+        _label_inside(frame, camera, where, f"x {100 * value:.0f}")
+    for value in y[1::2]:
+        where = np.column_stack([x, np.full(len(x), value)])
+        _label_inside(frame, camera, where, f"y {100 * value:.0f}")
+
+
+def _label_inside(frame: Array, camera: CameraModel, where_m: Array, words: str) -> None:
+    """Write words at the first of several places (n, 2) of the table that is well in view."""
+    at_m = np.column_stack([where_m, np.zeros(len(where_m))])
+    pixels, _ = project(camera, at_m)
+    with np.errstate(invalid="ignore"):
+        room = (0.92 * camera.width_px, 0.98 * camera.height_px)
+        inside = ((pixels >= 0.02 * camera.width_px) & (pixels <= room)).all(axis=1)
+    if inside.any():
+        _label(frame, camera, at_m[int(np.argmax(inside))], words, EDGE)
 
 
 def _line(frame: Array, camera: CameraModel, table_m: Array, style: Tuple[plot.Bgr, int]) -> None:

@@ -92,14 +92,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _lines(result: colour.ColourResult) -> List[str]:
-    told = [f"  {reason}" for reason in result.verdict.reasons]
-    return [f"{result.verdict.grade}: {len(result.quality)} colours", *_shares(result), *told]
+    return [*_shares(result), *(f"  {reason}" for reason in result.verdict.reasons)]
 
 
 def _shares(result: colour.ColourResult) -> List[str]:
     return [
-        f"{each.name}: finds {each.recall:.1%} of its own pixels, takes {each.false_share:.3%} of "
-        "the background"
+        f"{each.name}: {each.verdict}; finds {each.recall:.1%} of its own pixels, takes "
+        f"{each.false_share:.3%} of the background"
         for each in result.quality
     ]
 
