@@ -17,18 +17,17 @@ from apex_edge.types import Array, Intrinsics
 from calib.boards import Board, require_origin
 from calib.detect import detect
 from calib.hand_eye_checks import MIN_POSES, motion_of
+from calib.moving import RATE_SHARE, may_go
 from calib.planar_pose import two_poses
 from calib.pose_pairs import PosePairs, read_numbers
 from calib.rigid import angle_between_rad, inverse
 from calib.verdict import judge
-from firmware_bridge.errors import MotionRefused
 from firmware_bridge.guard import Limits, check_path
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.ready import ReadyArm
 
 Detector = Callable[[Array], Optional[Array]]
 """Takes a picture (h, w, 3), returns cam_from_target (4, 4) or None when it sees no target."""
-RATE_SHARE = 0.15
 ROOM = Limits(min_tip_z_m=0.04, min_link_z_m=0.03)
 _N_TRIED = 6000
 _NEAREST_M, _FARTHEST_M = 0.08, 0.30
@@ -53,7 +52,7 @@ def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses:
     distance = np.linalg.norm(away, axis=1)
     off = np.arccos(np.clip((away * pose[:, :3, 0]).sum(axis=1) / distance, -1.0, 1.0))
     is_good = (off <= _MAX_OFF_RAD) & (distance >= _NEAREST_M) & (distance <= _FARTHEST_M)
-    able = [q for q in joints[is_good] if _may_go(arm, arm.home_rad, q)]
+    able = [q for q in joints[is_good] if may_go(arm, arm.home_rad, q, ROOM)]
     if len(able) < MIN_POSES:
         raise CalibrationError(
             f"the arm can look at {np.round(aim_m, 3).tolist()} m from {len(able)} of {_N_TRIED} "
@@ -182,14 +181,6 @@ def _towards(arm: ArmModel, aim_m: Array, rng: np.random.RandomState) -> Array:
     return drawn
 
 
-def _may_go(arm: ArmModel, start: Array, goal: Array) -> bool:
-    try:
-        check_path(arm, start, goal[None], np.array([1.0]), ROOM)
-    except MotionRefused:
-        return False
-    return True
-
-
 def _most_different(arm: ArmModel, joints: Array, n_poses: int) -> Array:
     turns = arm.gripper_pose(joints)[:, :3, :3]
     chosen = [0]
@@ -205,8 +196,8 @@ def _in_order(arm: ArmModel, joints: Array) -> Array:
     """Return the poses that can be reached one from another; all can from and to home."""
     kept: List[Array] = [joints[0]]
     for goal in joints[1:]:
-        if _may_go(arm, kept[-1], goal):
+        if may_go(arm, kept[-1], goal, ROOM):
             kept.append(goal)
-    while not _may_go(arm, kept[-1], arm.home_rad):
+    while not may_go(arm, kept[-1], arm.home_rad, ROOM):
         kept.pop()
     return np.array(kept)

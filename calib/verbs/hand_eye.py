@@ -12,10 +12,10 @@ from calib.hand_eye import HandEyeResult, solve
 from calib.hand_eye_file import hand_eye_document
 from calib.hand_eye_picture import draw
 from calib.made import file_data, made
+from calib.moving import confirm
 from calib.pose_pairs import pairs_text, read_pairs
 from calib.sources import to_stderr
 from calib.verbs import options
-from calib.verbs.moving import confirm
 from calib.verbs.outcome import Ending, check_usable, deliver, refusal_told
 from firmware_bridge.ready import ReadyArm
 

@@ -38,9 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="header, then t_s,response a row: each frame's stamp, and its brightness or position",
     )
     options.add_camera(parser)
-    parser.add_argument("--seconds", type=float, default=20.0, help="how long to blink (20)")
     parser.add_argument(
-        "--max-latency-s", type=float, default=0.5, help="longest delay looked for (0.5)"
+        "--seconds", type=float, default=20.0, metavar="S", help="how long to blink (20)"
+    )
+    parser.add_argument(
+        "--max-latency-s",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="longest delay looked for (0.5)",
     )
     options.add_out(parser)
 

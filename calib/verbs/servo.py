@@ -8,11 +8,11 @@ from typing import List, Optional, Sequence
 
 from calib import files, servo_live
 from calib.made import file_data, made
+from calib.moving import confirm
 from calib.servo import ServoFit, overall, read_samples, samples_text, solve
 from calib.servo_file import servo_document, toml_lines
 from calib.servo_picture import draw
 from calib.settings import Bench
-from calib.verbs.moving import confirm
 from calib.verbs.options import add_out
 from calib.verbs.outcome import Ending, check_usable, deliver, refusal_told
 from firmware_bridge.kinematics import ArmModel
@@ -50,8 +50,9 @@ def run(args: argparse.Namespace) -> int:
     ArmError : live only; the arm was stopped.
     """
     with refusal_told(args.json) as figures:
-        arm = ArmModel.load(args.arm) if args.config is None else Bench.read(args.config).model()
-        source = args.samples if args.samples is not None else _collect(args, arm)
+        bench = Bench.read(args.config)
+        arm = ArmModel.load(args.arm) if args.config is None else bench.model()
+        source = args.samples if args.config is None else _collect(args, bench, arm)
         samples = read_samples(source)
         fits = solve(samples)
         verdict = overall(fits)
@@ -62,9 +63,8 @@ def run(args: argparse.Namespace) -> int:
         return deliver(args, Ending(document, draw(samples, fits), figures, _lines(fits, arm)))
 
 
-def _collect(args: argparse.Namespace, arm: ArmModel) -> Path:
+def _collect(args: argparse.Namespace, bench: Bench, arm: ArmModel) -> Path:
     """Turn one joint and ask for its angle; returns the readings' file, beside the result."""
-    bench = Bench.read(args.config)
     poses = servo_live.poses_for(arm, args.joint)
     confirm(
         f"The arm on {bench.arm.port} goes home, then {args.joint} turns slowly through "
