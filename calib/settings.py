@@ -33,7 +33,7 @@ class Bench:
         ConfigError : unreadable, or a key of these two sections is wrong.
         """
         data = read_toml(config) if config is not None else {}
-        where = str(config or "settings")
+        where = str(config or "defaults (no --config)")
         camera = structure(CameraConfig, _section(data, "camera", where), f"{where} [camera]")
         arm = structure(ArmConfig, _section(data, "arm", where), f"{where} [arm]")
         camera = replace(

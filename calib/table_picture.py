@@ -52,10 +52,10 @@ def _grid(frame: Array, camera: CameraModel, scale: int) -> None:
         _line(frame, camera, ends, (GRID, scale))
     for value in x[2::2]:
         where = np.column_stack([np.full(len(y), value), y[np.argsort(np.abs(y))]])
-        _label_inside(frame, camera, where, f"x {100 * value:.0f}")
+        _label_inside(frame, camera, where, f"x {round(100 * value)}")
     for value in y[1::2]:
         where = np.column_stack([x, np.full(len(x), value)])
-        _label_inside(frame, camera, where, f"y {100 * value:.0f}")
+        _label_inside(frame, camera, where, f"y {round(100 * value)}")
 
 
 def _label_inside(frame: Array, camera: CameraModel, where_m: Array, words: str) -> None:

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     ArmError, CameraError : live only; the arm was stopped.
     """
     with refusal_told(args.json) as figures:
-        source = _collect(args) if options.is_live(args, "--pairs") else args.pairs
+        source = _collect(args) if options.is_live(args, "pairs") else args.pairs
         result = solve(read_pairs(source), args.refine)
         figures.update(result.figures())
         check_usable(result.verdict)

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _source(args: argparse.Namespace, board: Board) -> sources.Source:
-    if not options.is_live(args, "--images"):
+    if not options.is_live(args, "images"):
         return sources.from_files(options.expand(args.images), board)
     bench = options.bench_of(args)
     preview = args.out.with_name(args.out.stem + "-preview.png")

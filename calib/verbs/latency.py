@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     CalibrationError : a file cannot be used, or the verdict is a refusal.
     """
     with refusal_told(args.json) as figures:
-        is_live = options.is_live(args, "--events and --frames")
+        is_live = options.is_live(args, "events", "frames")
         paths = _record(args) if is_live else (args.events, args.frames)
         signal, response = (read_series(path) for path in paths)
         result = solve(signal, response, args.max_latency_s)

@@ -79,17 +79,18 @@ def board_of(args: argparse.Namespace) -> Board:
     return parse_board(args.board, 1e-3 * args.square_mm, 1e-3 * args.marker_mm)
 
 
-def is_live(args: argparse.Namespace, files: str) -> bool:
-    """Say whether a camera is named, and not the options ``files``, of which all are needed.
+def is_live(args: argparse.Namespace, *files: str) -> bool:
+    """Say whether a camera is named, and not the options of that name, of which all are needed.
 
     Raises
     ------
-    ConfigError : both, or neither.
+    ConfigError : both, neither, or some.
     """
-    given = [getattr(args, name.strip("-")) is not None for name in files.split(" and ")]
+    given = [getattr(args, name) is not None for name in files]
     is_camera = args.config is not None or args.camera is not None
     if any(given) != all(given) or is_camera == all(given):
-        raise ConfigError(f"give either {files} or a camera (--camera or --config)")
+        wanted = " and ".join(f"--{name}" for name in files)
+        raise ConfigError(f"give either {wanted} or a camera (--camera or --config)")
     return is_camera
 
 

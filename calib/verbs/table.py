@@ -145,7 +145,7 @@ def _by_hand(args: argparse.Namespace, lens: Intrinsics) -> _Data:
 def _by_board(args: argparse.Namespace, lens: Intrinsics) -> _Data:
     if not (args.board and args.square_mm and args.origin_mm):
         raise ConfigError("give --board, --square-mm and --origin-mm, or --point at least 4 times")
-    is_live = options.is_live(args, "--images")
+    is_live = options.is_live(args, "images")
     board = options.board_of(args)
     require_origin(board)
     if is_live:
