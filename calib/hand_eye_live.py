@@ -15,11 +15,12 @@ from apex_edge.cameras.calibration import check_size
 from apex_edge.errors import CalibrationError, CameraError
 from apex_edge.types import Array, Intrinsics
 from calib.boards import Board, require_origin
+from calib.csv_rows import read_numbers
 from calib.detect import detect
 from calib.hand_eye_checks import MIN_POSES, motion_of
 from calib.moving import RATE_SHARE, may_go
 from calib.planar_pose import two_poses
-from calib.pose_pairs import PosePairs, read_numbers
+from calib.pose_pairs import PosePairs
 from calib.rigid import angle_between_rad, inverse
 from calib.verdict import judge
 from firmware_bridge.guard import Limits, check_path

@@ -15,7 +15,7 @@ import numpy as np
 
 from apex_edge.errors import CalibrationError
 from apex_edge.types import Array
-from calib.pose_pairs import MAX_NUMBER, read_numbers
+from calib.csv_rows import MAX_NUMBER, read_numbers
 from calib.spread import jackknife_sd
 from calib.verdict import REFUSE, Limit, Verdict, judge, known, worst
 

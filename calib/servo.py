@@ -13,7 +13,7 @@ import numpy as np
 
 from apex_edge.errors import CalibrationError
 from apex_edge.types import Array
-from calib.pose_pairs import read_cells
+from calib.csv_rows import read_cells
 from calib.spread import rms
 from calib.verdict import WARN, Limit, Verdict, judge, known, worst
 from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US
@@ -90,7 +90,7 @@ def read_samples(path: Path) -> ServoSamples:
     ------
     CalibrationError : unreadable, or a row that is not of that form or out of range.
     """
-    rows = [_sample(path, index, cells) for index, cells in enumerate(read_cells(path, 4))]
+    rows = [_sample(path, index, cells) for index, cells in enumerate(read_cells(path, 4)[1:])]
     if not rows:
         raise CalibrationError(f"{path}: no sample in the file")
     ids, pulses, angles, ups = zip(*rows)
