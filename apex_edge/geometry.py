@@ -15,6 +15,15 @@ def camera_matrix(camera: Intrinsics) -> Array:
     )
 
 
+def is_rigid(pose: Array) -> bool:
+    """Say whether a matrix is a rotation and a translation (4, 4), all finite."""
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        return False
+    turn = pose[:3, :3]
+    is_turn = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0
+    return bool(is_turn and np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-12))
+
+
 def look_at(eye_m: Array, aim_m: Array) -> Array:
     """Return table_from_cam (4, 4) of a camera at ``eye_m`` looking at ``aim_m``, picture upright.
 

@@ -112,6 +112,20 @@ def parse_board(text: str, square_m: float, marker_m: float = 0.0) -> Board:
     return Board(CHARUCO, n_x, n_y, square_m, marker_m, _dictionary(form.group(4), n_x * n_y // 2))
 
 
+def require_origin(board: Board) -> None:
+    """Refuse a board whose origin cannot be told.
+
+    Raises
+    ------
+    CalibrationError : the board looks the same upside down.
+    """
+    if board.is_ambiguous:
+        raise CalibrationError(
+            f"board {board.name} looks the same after half a turn, so its origin is unknown; use "
+            "a ChArUco board, or a chessboard with one even and one odd count (9x6)"
+        )
+
+
 def load_dictionary(name: str) -> "cv2.aruco.Dictionary":
     """Return OpenCV's marker dictionary of that name.
 

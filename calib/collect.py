@@ -9,10 +9,9 @@ import math
 from dataclasses import dataclass
 from typing import List, Optional, Tuple
 
-import cv2
 import numpy as np
 
-from apex_edge.geometry import camera_matrix
+from apex_edge.errors import CalibrationError
 from apex_edge.types import Array
 from calib.boards import Board
 from calib.detect import View, detect
@@ -25,6 +24,8 @@ from calib.intrinsics import (
     nominal_lens,
     spread_deg,
 )
+from calib.planar_pose import two_poses
+from calib.rigid import inverse
 
 NOT_SEEN, MOVING, KNOWN, KEPT = "board not seen", "hold still", "seen before", "kept"
 STILL_SHARE = 0.0025  # of the picture's diagonal, between two frames: 2 px at 640x480
@@ -78,7 +79,10 @@ class Collector:
             return self._advice(NOT_SEEN, view, picture)
         if last is None or not _is_still(last, view):
             return self._advice(MOVING, view, picture)
-        signature, normal = _signature(view)
+        try:
+            signature, normal = _signature(view)
+        except CalibrationError:  # these corners are those of no board
+            return self._advice(NOT_SEEN, view, picture)
         if any(np.abs(signature - seen).sum() < NEW_DISTANCE for seen in self._seen):
             return self._advice(KNOWN, view, picture)
         self.views.append(view)
@@ -115,10 +119,8 @@ def _is_still(last: View, view: View) -> bool:
 def _signature(view: View) -> Tuple[Array, Array]:
     """Return place, size and direction (5,) and the board's normal (3,), by a nominal lens."""
     lens = nominal_lens(view.size_px)
-    _, turn, shift = cv2.solvePnP(
-        view.points_m, view.corners_px, camera_matrix(lens), lens.dist, flags=cv2.SOLVEPNP_IPPE
-    )
-    normal = cv2.Rodrigues(turn)[0][:, 2]
+    board = inverse(two_poses(lens, view.corners_px, view.points_m)[0].camera.table_from_cam)
+    normal, shift = board[:3, 2], board[:3, 3]
     centre = view.corners_px.mean(axis=0) / view.size_px
     size = math.log(max(1e-6, float(np.linalg.norm(shift))) / max(1e-6, _extent(view)))
     return np.array([centre[0], centre[1], 0.5 * size, 0.5 * normal[0], 0.5 * normal[1]]), normal

@@ -89,16 +89,16 @@ class ColourResult:
     @property
     def verdict(self) -> Verdict:
         """Return the worst verdict of all colours, with every reason and whose it is."""
-        reasons = [f"{q.name}: {reason}" for q in self.quality for reason in q.reasons]
+        reasons = [f"colour {q.name!r}: {reason}" for q in self.quality for reason in q.reasons]
         return Verdict(worst([quality.verdict for quality in self.quality]), tuple(reasons))
 
     def colours(self) -> List[Dict[str, Any]]:
         """Return the models as plain mappings for the colour file."""
         return [asdict(model) for model in self.models]
 
-    def figures(self) -> List[Dict[str, Any]]:
-        """Return the quality of each colour as plain mappings."""
-        return [asdict(quality) for quality in self.quality]
+    def figures(self) -> Dict[str, Any]:
+        """Return all figures as plain values, for the file and for ``--json``."""
+        return {**self.verdict.plain(), "colours": [asdict(each) for each in self.quality]}
 
 
 def solve(
@@ -261,9 +261,7 @@ def _judge(
     foreign = 1.0 - float(np.mean(own))
     false = float(np.mean(ground_labels == label)) if len(ground_labels) else 0.0
     leak = _leak(labels == label, disc, zone)
-    told = "{:.1%} of its pixels look like " + repr(names[rival - 1]).replace("{", "(").replace(
-        "}", ")"
-    )
+    told = "{:.1%} of its pixels look like " + _braced(names[rival - 1])
     verdict = judge(
         [
             Limit(recall, MIN_RECALL, REFUSED_RECALL, "finds only {:.1%} of its own pixels", True),

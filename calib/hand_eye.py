@@ -33,6 +33,7 @@ from calib.hand_eye_checks import (
 from calib.hand_eye_methods import Method, methods
 from calib.pose_pairs import PosePairs
 from calib.rigid import mean_pose, quaternion_from_turn, vector_from_turn
+from calib.spread import jackknife_sd, rms
 from calib.verdict import REFUSE, Limit, Verdict, judge
 
 REFINED = "refined"
@@ -90,12 +91,12 @@ class Solution:
     @property
     def scatter_mm(self) -> float:
         """RMS of the left-out errors, mm."""
-        return _rms(self.error_mm)
+        return rms(self.error_mm)
 
     @property
     def scatter_deg(self) -> float:
         """RMS of the left-out errors, degrees."""
-        return _rms(self.error_deg)
+        return rms(self.error_deg)
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class HandEyeResult:
     turn_mismatch_deg: Optional[float] = None
 
     def figures(self) -> Dict[str, Any]:
-        """Return all of it but the pose per pair as plain values, with null for what is not."""
+        """Return all figures as plain values, for the file and for ``--json``; null: not known."""
         found = self.solution
         pose = found.gripper_from_cam if found else None
         return {
@@ -132,11 +133,17 @@ class HandEyeResult:
             "sd_rotation_deg": found.sd_deg.tolist() if found else None,
             "n_pairs": self.n_pairs,
             "n_used": len(found.row) if found else 0,
-            "rejected": [{"row": row, "why": why} for row, why in self.rejected],
+            "rejected": [{"row": row, "reason": why} for row, why in self.rejected],
             "range_deg": self.motion.range_deg if self.motion else None,
             "axis_spread_deg": self.motion.spread_deg.tolist() if self.motion else None,
             "turn_mismatch_deg": self.turn_mismatch_deg,
             "methods": [score.plain() for score in self.methods],
+            "poses": [
+                {"row": int(row), "error_mm": float(mm), "error_deg": float(deg)}
+                for row, mm, deg in zip(found.row, found.error_mm, found.error_deg)
+            ]
+            if found
+            else [],
         }
 
 
@@ -265,7 +272,7 @@ def _score(name: str, method: Method, pairs: PosePairs) -> Tuple[MethodScore, So
         mm[fold == index], deg[fold == index] = apart(left_out, target)
         hands.append(each)
     sd_mm, sd_deg = _jackknife(np.array(hands))
-    score = MethodScore(name, _rms(mm), _rms(deg), _rms(in_mm), _rms(in_deg), hand)
+    score = MethodScore(name, rms(mm), rms(deg), rms(in_mm), rms(in_deg), hand)
     return score, Solution(name, hand, pairs.row, mm, deg, seen, sd_mm, sd_deg)
 
 
@@ -274,12 +281,7 @@ def _jackknife(hands: Array) -> Tuple[Array, Array]:
     centre = mean_pose(hands)
     shift = 1e3 * (hands[:, :3, 3] - centre[:3, 3])
     turn = np.degrees(vector_from_turn(centre[:3, :3].T @ hands[:, :3, :3]))
-    m = len(hands)
-    factor = (m - 1.0) / m
-    return (
-        np.sqrt(factor * (shift**2).sum(axis=0)),
-        np.sqrt(factor * (turn**2).sum(axis=0)),
-    )
+    return jackknife_sd(shift), jackknife_sd(turn)
 
 
 def _limits(found: Solution, rejected_share: float) -> List[Limit]:
@@ -349,7 +351,3 @@ def _notes(found: Solution, scores: List[MethodScore]) -> Tuple[str, ...]:
                 "the arm is more exact than the camera it is the better one (--refine)",
             )
     return ()
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

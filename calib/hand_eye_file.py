@@ -14,6 +14,7 @@ import numpy as np
 
 from apex_edge import documents
 from apex_edge.errors import CalibrationError
+from apex_edge.geometry import is_rigid
 from apex_edge.types import Array
 from calib.pose_pairs import MAX_PLACE_M
 from calib.rigid import quaternion_from_turn
@@ -65,11 +66,7 @@ def table_from_cam(arm: ArmModel, joints_rad: Array, gripper_from_cam: Array) ->
 
 
 def _check(pose: Array, where: str) -> None:
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise CalibrationError(f"{where}: gripper_from_cam must be 4 x 4 finite numbers")
-    turn = pose[:3, :3]
-    is_turn = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0
-    if not is_turn or not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-12):
-        raise CalibrationError(f"{where}: gripper_from_cam is not a rigid transform")
+    if not is_rigid(pose):
+        raise CalibrationError(f"{where}: gripper_from_cam is not a rigid transform (4 x 4)")
     if np.abs(pose[:3, 3]).max() > MAX_PLACE_M:
         raise CalibrationError(f"{where}: the camera is over {MAX_PLACE_M:g} m off the gripper")

@@ -11,20 +11,24 @@ from typing import Callable, List, Optional
 import numpy as np
 
 from apex_edge.cameras.base import Camera
+from apex_edge.cameras.calibration import check_size
 from apex_edge.errors import CalibrationError, CameraError
-from apex_edge.types import Array
+from apex_edge.types import Array, Intrinsics
+from calib.boards import Board, require_origin
+from calib.csv_rows import read_numbers
+from calib.detect import detect
 from calib.hand_eye_checks import MIN_POSES, motion_of
-from calib.pose_pairs import PosePairs, read_numbers
-from calib.rigid import angle_between_rad
+from calib.moving import RATE_SHARE, may_go
+from calib.planar_pose import two_poses
+from calib.pose_pairs import PosePairs
+from calib.rigid import angle_between_rad, inverse
 from calib.verdict import judge
-from firmware_bridge.errors import MotionRefused
 from firmware_bridge.guard import Limits, check_path
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.ready import ReadyArm
 
 Detector = Callable[[Array], Optional[Array]]
 """Takes a picture (h, w, 3), returns cam_from_target (4, 4) or None when it sees no target."""
-RATE_SHARE = 0.15
 ROOM = Limits(min_tip_z_m=0.04, min_link_z_m=0.03)
 _N_TRIED = 6000
 _NEAREST_M, _FARTHEST_M = 0.08, 0.30
@@ -49,7 +53,7 @@ def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses:
     distance = np.linalg.norm(away, axis=1)
     off = np.arccos(np.clip((away * pose[:, :3, 0]).sum(axis=1) / distance, -1.0, 1.0))
     is_good = (off <= _MAX_OFF_RAD) & (distance >= _NEAREST_M) & (distance <= _FARTHEST_M)
-    able = [q for q in joints[is_good] if _may_go(arm, arm.home_rad, q)]
+    able = [q for q in joints[is_good] if may_go(arm, arm.home_rad, q, ROOM)]
     if len(able) < MIN_POSES:
         raise CalibrationError(
             f"the arm can look at {np.round(aim_m, 3).tolist()} m from {len(able)} of {_N_TRIED} "
@@ -57,6 +61,26 @@ def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses:
         )
     chosen = _most_different(arm, np.array(able), n_poses)
     return _in_order(arm, chosen[np.lexsort((chosen[:, 1], np.round(chosen[:, 0], 1)))])
+
+
+def detector(lens: Intrinsics, board: Board) -> Detector:
+    """Return what finds the pose of a board in a picture; its origin is the same in every view.
+
+    Raises
+    ------
+    CalibrationError : the board looks the same upside down; later, pictures of another size.
+    """
+    require_origin(board)
+
+    def look(picture: Array) -> Optional[Array]:
+        check_size(lens, picture, "camera")
+        view = detect(picture, board)
+        if view is None:
+            return None
+        better, _ = two_poses(lens, view.corners_px, view.points_m)
+        return inverse(better.camera.table_from_cam)
+
+    return look
 
 
 def read_poses(path: Path, arm: ArmModel) -> Array:
@@ -158,14 +182,6 @@ def _towards(arm: ArmModel, aim_m: Array, rng: np.random.RandomState) -> Array:
     return drawn
 
 
-def _may_go(arm: ArmModel, start: Array, goal: Array) -> bool:
-    try:
-        check_path(arm, start, goal[None], np.array([1.0]), ROOM)
-    except MotionRefused:
-        return False
-    return True
-
-
 def _most_different(arm: ArmModel, joints: Array, n_poses: int) -> Array:
     turns = arm.gripper_pose(joints)[:, :3, :3]
     chosen = [0]
@@ -181,8 +197,8 @@ def _in_order(arm: ArmModel, joints: Array) -> Array:
     """Return the poses that can be reached one from another; all can from and to home."""
     kept: List[Array] = [joints[0]]
     for goal in joints[1:]:
-        if _may_go(arm, kept[-1], goal):
+        if may_go(arm, kept[-1], goal, ROOM):
             kept.append(goal)
-    while not _may_go(arm, kept[-1], arm.home_rad):
+    while not may_go(arm, kept[-1], arm.home_rad, ROOM):
         kept.pop()
     return np.array(kept)

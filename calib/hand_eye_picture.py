@@ -7,6 +7,7 @@ from calib import plot
 from calib.hand_eye import HandEyeResult, Solution
 from calib.hand_eye_checks import GOOD_DEG, GOOD_MM
 
+_N_NAMED = 4
 _VIEWS = (("from above", 0, 1), ("from the side", 0, 2), ("from the front", 1, 2))
 
 
@@ -20,26 +21,33 @@ def draw(result: HandEyeResult) -> Array:
     found = result.solution
     if found is None:
         raise ValueError("nothing was solved, so there is nothing to draw")
-    title = (
-        f"hand-eye: {result.verdict.grade}, {found.method}, {len(found.row)} of {result.n_pairs} "
-        f"poses, target scatter {found.scatter_mm:.2f} mm {found.scatter_deg:.2f} deg"
-    )
-    picture = plot.sheet(960, 700, title)
+    picture = plot.sheet(660)
     _bars(picture, found)
     seen = 1e3 * found.base_from_target[:, :3, 3]
     off = seen - seen.mean(axis=0)
     reach = 1.15 * max(float(np.abs(off).max()), GOOD_MM)
-    names = [str(row) for row in found.row]
+    # names of all would hide each other
+    far = np.argsort(-np.linalg.norm(off, axis=1))[:_N_NAMED]
+    names = [str(row) if i in far else "" for i, row in enumerate(found.row)]
     angle = np.linspace(0.0, 2.0 * np.pi, 60)
-    for index, (view, x, y) in enumerate(_VIEWS):
-        box = (60 + index * 305, 400, 240, 240)
-        label = f"target {view}: {'xyz'[x]}, {'xyz'[y]} of the base (mm)"
+    for index, (view, across, up) in enumerate(_VIEWS):
+        box = (60 + index * 310, 380, 240, 240)
+        label = f"target {view}: {'xyz'[up]} over {'xyz'[across]} (mm)"
         chart = plot.Chart(picture, box, (-reach, reach), (-reach, reach), label)
         chart.line(GOOD_MM * np.cos(angle), GOOD_MM * np.sin(angle), plot.GREEN)
-        chart.dots(off[:, x], off[:, y], plot.BLUE, names)
-    for row, (number, why) in enumerate(result.rejected[:2]):
-        plot.write(picture, f"rejected row {number}: {why}", (14, 672 + 16 * row), 0.38, plot.RED)
-    return picture
+        chart.dots(off[:, across], off[:, up], plot.BLUE, names)
+    headline = (
+        f"{found.method}, {len(found.row)} of {result.n_pairs} poses; target scatter "
+        f"{found.scatter_mm:.2f} mm, {found.scatter_deg:.2f} deg"
+    )
+    x, y, z = 1e3 * found.gripper_from_cam[:3, 3]
+    sd = found.sd_mm
+    facts = [
+        f"camera on the gripper: x {x:.1f} +- {sd[0]:.1f}   y {y:.1f} +- {sd[1]:.1f}   "
+        f"z {z:.1f} +- {sd[2]:.1f} mm (sd)",
+        *(f"row {row} left out: {why}" for row, why in result.rejected[:3]),
+    ]
+    return plot.with_panel(picture, result.verdict, headline, facts)
 
 
 def _bars(picture: Array, found: Solution) -> None:
@@ -48,10 +56,8 @@ def _bars(picture: Array, found: Solution) -> None:
         ((found.error_mm, GOOD_MM, "mm"), (found.error_deg, GOOD_DEG, "deg"))
     ):
         top = 1.1 * max(float(errors.max()), limit)
-        box = (60, 60 + index * 160, 880, 110)
-        label = (
-            f"error of each row's pose, predicted by the others ({unit}); line: limit of the RMS"
-        )
+        box = (60, 34 + index * 160, 880, 110)
+        label = f"error ({unit}) of each row's pose, foretold by the others; line: limit of the RMS"
         chart = plot.Chart(picture, box, x_range, (0.0, top), label)
         chart.bars(found.row, errors, 0.7, plot.BLUE if index == 0 else plot.ORANGE)
         chart.level(limit, plot.GREEN)

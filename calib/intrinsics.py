@@ -18,6 +18,8 @@ from apex_edge.geometry import camera_matrix
 from apex_edge.types import Array, Intrinsics
 from calib.boards import Board
 from calib.detect import View, check_view, is_flat_board
+from calib.rigid import turn_from_vector
+from calib.spread import jackknife_sd
 from calib.verdict import Limit, Verdict, judge
 
 WANTED_VIEWS, MIN_VIEWS = 15, 6
@@ -60,7 +62,7 @@ class _Fit:
 class IntrinsicsResult:
     """A lens and how well it is known, from n kept views.
 
-    ``sd_px`` of fx, fy, cx, cy; ``dist_sd (5,)``; ``jackknife_px`` sd of fx over groups of views;
+    ``sd_px`` of fx, fy, cx, cy; ``sd_dist (5,)``; ``jackknife_px`` sd of fx over groups of views;
     ``view_rms_px``, ``tilt_deg (n,)`` between board and picture plane; ``turn_spread_deg`` the
     largest angle between two of the boards; ``coverage (5, 5)`` corners per cell of the picture.
     """
@@ -69,7 +71,7 @@ class IntrinsicsResult:
     verdict: Verdict
     rms_px: float
     sd_px: Array
-    dist_sd: Array
+    sd_dist: Array
     jackknife_px: float
     views: Tuple[View, ...]
     residuals_px: Tuple[Array, ...]
@@ -84,15 +86,16 @@ class IntrinsicsResult:
         lens = self.lens
         names = ("fx_px", "fy_px", "cx_px", "cy_px")
         return {
+            **self.verdict.plain(),
             "rms_px": self.rms_px,
             "n_views": len(self.views),
             "size_px": [lens.width_px, lens.height_px],
             **{name: float(getattr(lens, name)) for name in names},
             "dist": lens.dist.tolist(),
             "sd_px": dict(zip(names, self.sd_px.tolist())),
-            "dist_sd": self.dist_sd.tolist(),
-            "focal_sd_share": float(max(self.sd_px[:2] / (lens.fx_px, lens.fy_px))),
-            "focal_jackknife_share": self.jackknife_px / lens.fx_px,
+            "sd_dist": self.sd_dist.tolist(),
+            "sd_focal_share": float(max(self.sd_px[:2] / (lens.fx_px, lens.fy_px))),
+            "jackknife_focal_share": self.jackknife_px / lens.fx_px,
             "tilt_spread_deg": self.turn_spread_deg,
             "coverage": self.coverage.tolist(),
             "coverage_share": coverage_share(self.coverage),
@@ -131,14 +134,14 @@ def solve(views: Sequence[View], size_px: Tuple[int, int], board: Board) -> Intr
     kept, fit, bad = _without_bad_views(flat, size_px, rejected)
     fit = _with_k3_if_seen(kept, size_px, fit)
     residuals = tuple(_residual(view, fit, i) for i, view in enumerate(kept))
-    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in fit.turns])
+    normals = turn_from_vector(fit.turns)[:, :, 2]
     coverage = coverage_of([view.corners_px for view in kept], size_px)
     result = IntrinsicsResult(
         lens=fit.lens,
         verdict=Verdict("", ()),
         rms_px=fit.rms_px,
         sd_px=fit.sd[:4],
-        dist_sd=fit.sd[4:9],
+        sd_dist=fit.sd[4:9],
         jackknife_px=_jackknife(kept, fit),
         views=tuple(kept),
         residuals_px=residuals,
@@ -302,7 +305,7 @@ def _jackknife(views: Sequence[View], fit: _Fit) -> float:
     for group in range(n_groups):
         rest = [view for i, view in enumerate(views) if i % n_groups != group]
         focal.append(_fit(rest, size_px, flags, fit.lens).lens.fx_px)
-    return float(np.sqrt((n_groups - 1) * np.var(focal)))
+    return float(jackknife_sd(np.array(focal)))
 
 
 def _judge(result: IntrinsicsResult, fit: _Fit, n_given: int) -> Verdict:
@@ -325,13 +328,13 @@ def _judge(result: IntrinsicsResult, fit: _Fit, n_given: int) -> Verdict:
                 True,
             ),
             Limit(
-                figures["focal_sd_share"],
+                figures["sd_focal_share"],
                 WANTED_FOCAL_SD,
                 MAX_FOCAL_SD,
                 "the focal length is known to {:.2%} only: tilt the board more, fill the picture",
             ),
             Limit(
-                figures["focal_jackknife_share"],
+                figures["jackknife_focal_share"],
                 WANTED_JACKKNIFE,
                 MAX_JACKKNIFE,
                 "the focal length changes by {:.2%} with the choice of views: tilt the board more",
@@ -350,7 +353,7 @@ def _judge(result: IntrinsicsResult, fit: _Fit, n_given: int) -> Verdict:
 
 def _tilt_text(fit: _Fit) -> str:
     """Return what is wrong when no two boards differ much in direction."""
-    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in fit.turns])
+    normals = turn_from_vector(fit.turns)[:, :, 2]
     wander = np.ptp(fit.shifts_m, axis=0) / float(np.median(fit.shifts_m[:, 2]))
     if np.abs(wander).max() < SAME_PLACE:
         what = "all views show the board in the same pose"

@@ -15,8 +15,9 @@ import numpy as np
 
 from apex_edge.errors import CalibrationError
 from apex_edge.types import Array
-from calib.pose_pairs import MAX_NUMBER, read_numbers
-from calib.verdict import REFUSE, Limit, Verdict, judge
+from calib.csv_rows import MAX_NUMBER, read_numbers
+from calib.spread import jackknife_sd
+from calib.verdict import REFUSE, Limit, Verdict, judge, known, worst
 
 MIN_FRAMES, WANTED_FRAMES = 40, 150
 MIN_CHANGES, WANTED_CHANGES = 6, 15
@@ -53,12 +54,9 @@ class LatencyResult:
     curve: Array
 
     def figures(self) -> Dict[str, Any]:
-        """Return it as plain values, with null for what is not known."""
-        values = {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in asdict(self).items()
-            if key not in ("verdict", "curve")
-        }
+        """Return all figures as plain values, for the file and for ``--json``; null: not known."""
+        values = known(asdict(self))
+        del values["verdict"], values["curve"]
         return {**self.verdict.plain(), **values}
 
 
@@ -257,7 +255,7 @@ def _judged(
     reasons = list(early.reasons)
     measured = judge(limits)
     reasons += measured.reasons
-    grade = max(early.grade, measured.grade, key=("pass", "warn", REFUSE).index)
+    grade = worst([early.grade, measured.grade])
     if is_edge:
         grade = REFUSE
         reasons.append(f"the best lag {latency_s:.3f} s is at the edge of what was searched")
@@ -311,8 +309,7 @@ def _jackknife_s(
             for b in range(_N_BLOCKS)
         ]
     )
-    factor = (_N_BLOCKS - 1.0) / _N_BLOCKS
-    return float(np.sqrt(factor * ((found - found.mean()) ** 2).sum()))
+    return float(jackknife_sd(found))
 
 
 def _nothing(verdict: Verdict, period_s: float, n_frames: int, n_changes: int) -> LatencyResult:

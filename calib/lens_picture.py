@@ -1,23 +1,18 @@
 """What a lens calibration rests on, as a picture: coverage, residuals, distortion, verdict."""
 
-from typing import List, Sequence, Tuple
+from typing import Tuple
 
 import cv2
 import numpy as np
 
 from apex_edge.geometry import camera_matrix
 from apex_edge.types import Array, Intrinsics
+from calib import plot
 from calib.intrinsics import GRID, IntrinsicsResult
-from calib.verdict import PASS, WARN
 
-WIDTH_PX = 960
-LINE_PX = 24
 ARROW_PX = 18.0  # the median residual is drawn this long
-GROUND, EMPTY, FILLED = (28, 24, 22), (46, 36, 74), (58, 88, 44)
-DOT, ARROW, BENT, INK, DIM = (235, 200, 90), (60, 190, 250), (170, 170, 170), (240, 240, 240), 150
-GRADES = {PASS: (110, 205, 80), WARN: (50, 170, 245)}
-REFUSED = (70, 70, 240)
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
+BORDER, EMPTY, FILLED = (28, 24, 22), (46, 36, 74), (58, 88, 44)
+DOT, BENT, COUNT = (235, 200, 90), (170, 170, 170), (200, 200, 200)
 
 
 def draw(result: IntrinsicsResult) -> Array:
@@ -27,8 +22,8 @@ def draw(result: IntrinsicsResult) -> Array:
     its residual, magnified, as an arrow; the bent grid is what the lens makes of a straight one.
     """
     lens = result.lens
-    scale = WIDTH_PX / lens.width_px
-    frame = coverage_picture(result.coverage, (WIDTH_PX, round(lens.height_px * scale)))
+    scale = plot.WIDTH_PX / lens.width_px
+    frame = coverage_picture(result.coverage, (plot.WIDTH_PX, round(lens.height_px * scale)))
     _bent_grid(frame, lens, scale)
     residuals = np.concatenate(result.residuals_px)
     median_px = max(1e-6, float(np.median(np.linalg.norm(residuals, axis=1))))
@@ -36,9 +31,9 @@ def draw(result: IntrinsicsResult) -> Array:
     for view, residual in zip(result.views, result.residuals_px):
         start = (view.corners_px + 0.5) * scale
         for a, b in zip(start, start + magnified * residual):
-            cv2.circle(frame, _fixed(a), 2 << _SHIFT, DOT, -1, cv2.LINE_AA, _SHIFT)
-            cv2.line(frame, _fixed(a), _fixed(b), ARROW, 1, cv2.LINE_AA, _SHIFT)
-    return np.vstack([frame, _panel(_lines(result, magnified), result.verdict.grade)])
+            plot.disc(frame, a, 2.0, DOT)
+            plot.stroke(frame, a, b, plot.FOUND)
+    return _with_facts(frame, result, magnified)
 
 
 def coverage_picture(coverage: Array, size_px: Tuple[int, int]) -> Array:
@@ -53,16 +48,9 @@ def coverage_picture(coverage: Array, size_px: Tuple[int, int]) -> Array:
             share = min(1.0, count / 40.0)
             colour = np.add(FILLED, 30.0 * share) if count else np.array(EMPTY)
             frame[y0:y1, x0:x1] = colour
-            frame[y0, x0:x1] = frame[y0:y1, x0] = GROUND
-            _text(frame, (x0 + 6, y0 + 18), str(count), (DIM, DIM, DIM), 0.45)
+            frame[y0, x0:x1] = frame[y0:y1, x0] = BORDER
+            plot.label(frame, str(count), (x0 + 6, y0 + 18), 0.45, COUNT)
     return frame
-
-
-_SHIFT = 4
-
-
-def _fixed(point: Array) -> Tuple[int, int]:
-    return round(float(point[0]) * (1 << _SHIFT)), round(float(point[1]) * (1 << _SHIFT))
 
 
 def _bent_grid(frame: Array, lens: Intrinsics, scale: float) -> None:
@@ -76,40 +64,26 @@ def _bent_grid(frame: Array, lens: Intrinsics, scale: float) -> None:
             bent, _ = cv2.projectPoints(
                 pixels @ inverse.T, np.zeros(3), np.zeros(3), camera_matrix(lens), lens.dist
             )
-            points = np.rint(bent.reshape(-1, 1, 2) * scale * (1 << _SHIFT))
-            if np.abs(points).max() < 1e6:
-                cv2.polylines(frame, [points.astype(np.int32)], False, BENT, 1, cv2.LINE_AA, _SHIFT)
+            points = (bent.reshape(-1, 2) + 0.5) * scale
+            if np.abs(points).max() < 1e5:
+                for a, b in zip(points, points[1:]):
+                    plot.stroke(frame, a, b, BENT)
 
 
-def _lines(result: IntrinsicsResult, magnified: float) -> List[str]:
+def _with_facts(frame: Array, result: IntrinsicsResult, magnified: float) -> Array:
     lens, sd = result.lens, result.sd_px
     worst = int(np.argmax(result.view_rms_px))
-    lines = [
-        f"{result.verdict.grade.upper()}   RMS {result.rms_px:.3f} px over {len(result.views)} "
-        f"views, worst {result.views[worst].name} {result.view_rms_px[worst]:.2f} px; "
-        f"{len(result.rejected)} left out",
+    headline = (
+        f"RMS {result.rms_px:.3f} px over {len(result.views)} views, worst "
+        f"{result.views[worst].name}: {result.view_rms_px[worst]:.2f} px; "
+        f"{len(result.rejected)} left out"
+    )
+    facts = [
         f"fx {lens.fx_px:.1f} +- {sd[0]:.1f}   fy {lens.fy_px:.1f} +- {sd[1]:.1f}   "
-        f"cx {lens.cx_px:.1f} +- {sd[2]:.1f}   cy {lens.cy_px:.1f} +- {sd[3]:.1f} px   "
-        f"(jackknife of fx +- {result.jackknife_px:.1f})",
+        f"cx {lens.cx_px:.1f} +- {sd[2]:.1f}   cy {lens.cy_px:.1f} +- {sd[3]:.1f} px (sd)   "
+        f"jackknife of fx +- {result.jackknife_px:.1f}",
         "k1 k2 p1 p2 k3 = " + "  ".join(f"{value:.4f}" for value in lens.dist),
-        f"arrows: found minus expected, {magnified:.0f} times; grid: straight lines as this lens "
-        "bends them",
+        f"arrows: found minus expected, {magnified:.0f} times; numbers: corners per cell; grid: "
+        "straight lines as this lens bends them",
     ]
-    return lines + list(result.verdict.reasons)
-
-
-def _panel(lines: Sequence[str], grade: str) -> Array:
-    panel = np.empty((LINE_PX * len(lines) + 12, WIDTH_PX, 3), np.uint8)
-    panel[:] = GROUND
-    for number, line in enumerate(lines):
-        colour = GRADES.get(grade, REFUSED) if number == 0 or number > 3 else INK
-        _text(panel, (10, LINE_PX * (number + 1) - 4), line, colour, 0.5)
-    return panel
-
-
-def _text(
-    picture: Array, place: Tuple[int, int], words: str, colour: Tuple[int, int, int], size: float
-) -> None:
-    room = picture.shape[1] - place[0] - 6
-    (width, _), _ = cv2.getTextSize(words, _FONT, size, 1)
-    cv2.putText(picture, words, place, _FONT, size * min(1.0, room / width), colour, 1, cv2.LINE_AA)
+    return plot.with_panel(frame, result.verdict, headline, facts)

@@ -14,6 +14,8 @@ import numpy as np
 from apex_edge.errors import CalibrationError
 from apex_edge.geometry import camera_matrix, project
 from apex_edge.types import Array, CameraModel, Intrinsics
+from calib.rigid import pose
+from calib.spread import rms_length
 
 
 class Fit(NamedTuple):
@@ -95,12 +97,9 @@ def _refined(
         np.array(start[1], dtype=np.float64).reshape(3, 1),
     )
     rotation = cv2.Rodrigues(turn)[0].T
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, middle - rotation @ np.ravel(shift)
-    if not np.isfinite(pose).all():
+    seen_from = pose(rotation, middle - rotation @ np.ravel(shift))
+    if not np.isfinite(seen_from).all():
         return []
-    names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "dist")
-    camera = CameraModel(**{name: getattr(lens, name) for name in names}, table_from_cam=pose)
-    miss = pixels - project(camera, points_m)[0]
-    rms_px = float(np.sqrt((miss**2).sum(axis=1).mean()))
+    camera = CameraModel(**{**vars(lens), "table_from_cam": seen_from})
+    rms_px = rms_length(pixels - project(camera, points_m)[0])
     return [Fit(camera, rms_px)] if np.isfinite(rms_px) else []

@@ -1,11 +1,13 @@
-"""Small charts drawn with OpenCV, for the pictures that calibrations leave beside their files."""
+"""What the pictures that calibrations leave share: lines of text, the verdict's panel, charts."""
 
+import textwrap
 from typing import Optional, Sequence, Tuple, Union
 
 import cv2
 import numpy as np
 
 from apex_edge.types import Array
+from calib.verdict import PASS, WARN, Verdict
 
 Bgr = Tuple[int, int, int]
 Range = Tuple[float, float]
@@ -16,22 +18,73 @@ BLUE: Bgr = (180, 110, 40)
 ORANGE: Bgr = (30, 130, 235)
 GREEN: Bgr = (80, 150, 50)
 RED: Bgr = (50, 50, 210)
+FOUND: Bgr = (60, 190, 250)  # over photos: what was found, and what was expected
+EXPECTED: Bgr = (110, 205, 80)
+WIDTH_PX = 960
+_GRADES = {PASS: (110, 205, 80), WARN: (50, 170, 245)}
+_REFUSED: Bgr = (70, 70, 240)
+_PANEL, _PANEL_INK, _LINE_PX = (28, 24, 22), (240, 240, 240), 24
+_LETTER_PX = 8  # wide, about
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
 
 
-def sheet(width_px: int, height_px: int, title: str) -> Array:
-    """Return a white picture (h, w, 3) with a title line."""
-    picture = np.full((height_px, width_px, 3), 255, dtype=np.uint8)
-    write(picture, title, (14, 24), 0.55)
-    return picture
+def sheet(height_px: int) -> Array:
+    """Return a white picture (h, w, 3)."""
+    return np.full((height_px, WIDTH_PX, 3), 255, dtype=np.uint8)
+
+
+def enlarged(photo: Array) -> Tuple[Array, int]:
+    """Return a photo (h, w, 3) at least as wide as a sheet, and how many times larger it is."""
+    scale = max(1, -(-WIDTH_PX // photo.shape[1]))
+    return cv2.resize(photo, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), scale
 
 
 def write(
     picture: Array, text: str, at_px: Tuple[int, int], size: float = 0.4, colour: Bgr = INK
 ) -> None:
-    """Write one line of ASCII text with its baseline starting at ``at_px``."""
+    """Write one line of ASCII text with its baseline starting at ``at_px``, smaller if it must."""
+    (width, _), _ = cv2.getTextSize(text, _FONT, size, 1)
+    size *= min(1.0, (picture.shape[1] - at_px[0] - 6) / max(1, width))
     cv2.putText(picture, text, at_px, _FONT, size, colour, 1, cv2.LINE_AA)
+
+
+def label(
+    picture: Array, text: str, at_px: Tuple[int, int], size: float, colour: Bgr = _PANEL_INK
+) -> None:
+    """Write a few words over a photo, with a dark rim; cut off where the photo ends."""
+    cv2.putText(picture, text, at_px, _FONT, size, _PANEL, 4, cv2.LINE_AA)
+    cv2.putText(picture, text, at_px, _FONT, size, colour, 1, cv2.LINE_AA)
+
+
+def disc(picture: Array, at_px: Array, radius_px: float, colour: Bgr, line_px: int = -1) -> None:
+    """Draw a filled circle, or a ring of ``line_px``, to a fraction of a pixel."""
+    radius = round(radius_px * (1 << _SHIFT))
+    cv2.circle(picture, _fixed(at_px), radius, colour, line_px, cv2.LINE_AA, _SHIFT)
+
+
+def stroke(picture: Array, a_px: Array, b_px: Array, colour: Bgr, line_px: int = 1) -> None:
+    """Draw a line between two points, to a fraction of a pixel."""
+    cv2.line(picture, _fixed(a_px), _fixed(b_px), colour, line_px, cv2.LINE_AA, _SHIFT)
+
+
+def _fixed(point: Array) -> Tuple[int, int]:
+    return round(float(point[0]) * (1 << _SHIFT)), round(float(point[1]) * (1 << _SHIFT))
+
+
+def with_panel(picture: Array, verdict: Verdict, headline: str, facts: Sequence[str]) -> Array:
+    """Return the picture (h, w, 3) with a panel below: verdict, facts, and the reasons in full."""
+    grade = _GRADES.get(verdict.grade, _REFUSED)
+    told = [(f"{verdict.grade.upper()}   {headline}", grade)]
+    told += [(fact, _PANEL_INK) for fact in facts]
+    told += [(reason, grade) for reason in verdict.reasons]
+    n_letters = picture.shape[1] // _LETTER_PX
+    lines = [(part, colour) for line, colour in told for part in textwrap.wrap(line, n_letters)]
+    panel = np.empty((_LINE_PX * len(lines) + 12, picture.shape[1], 3), np.uint8)
+    panel[:] = _PANEL
+    for number, (line, colour) in enumerate(lines):
+        write(panel, line, (10, _LINE_PX * (number + 1) - 4), 0.5, colour)
+    return np.vstack([picture, panel])
 
 
 class Chart:
@@ -75,11 +128,10 @@ class Chart:
         names: Optional[Sequence[str]] = None,
     ) -> None:
         """Draw dots (n,), each with its name beside it where there are names."""
-        for index, (column, row) in enumerate(self._place(x, y)):
-            centre = (int(column), int(row))
-            cv2.circle(self._picture, centre, 3 << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
+        for index, place in enumerate(self._place(x, y) / (1 << _SHIFT)):
+            disc(self._picture, place, 3.0, colour)
             if names is not None:
-                beside = ((centre[0] >> _SHIFT) + 4, (centre[1] >> _SHIFT) - 3)
+                beside = (int(place[0]) + 4, int(place[1]) - 3)
                 write(self._picture, names[index], beside, 0.32)
 
     def bars(self, x: Numbers, y: Numbers, width: float, colour: Bgr) -> None:

@@ -4,8 +4,6 @@ A file has a header line and one row a pose: base->gripper x, y, z (m) and quate
 then camera->target likewise. Source: ours.
 """
 
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import List, Sequence
@@ -13,7 +11,9 @@ from typing import List, Sequence
 import numpy as np
 
 from apex_edge.errors import CalibrationError
+from apex_edge.geometry import is_rigid
 from apex_edge.types import Array
+from calib.csv_rows import read_cells, read_numbers
 from calib.rigid import pose, quaternion_from_turn, turn_from_quaternion
 
 _PARTS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
@@ -21,7 +21,6 @@ COLUMNS = tuple(f"{side}_{part}" for side in ("gripper", "target") for part in _
 MAX_POSES = 500
 # No arm on a table reaches 10 m; millimetres taken for metres always do.
 MAX_PLACE_M = 10.0
-MAX_NUMBER = 1e12  # no time, length or brightness is larger, and its square is still a number
 _UNIT_TOLERANCE = 0.01
 
 
@@ -58,10 +57,7 @@ def pairs_from(base_from_gripper: Array, cam_from_target: Array) -> PosePairs:
         )
     for name, poses in (("base_from_gripper", gripper), ("cam_from_target", target)):
         for index, each in enumerate(poses):
-            turn = each[:3, :3]
-            # written so that NaN is refused
-            is_rigid = np.abs(turn @ turn.T - np.eye(3)).max(initial=0.0) <= 1e-6
-            if not (is_rigid and np.linalg.det(turn) > 0 and np.isfinite(each).all()):
+            if not is_rigid(each):
                 raise CalibrationError(f"pair {index + 1}: {name} is not a rigid transform")
     return PosePairs(gripper, target, np.arange(1, len(gripper) + 1))
 
@@ -75,6 +71,7 @@ def read_pairs(path: Path) -> PosePairs:
         quaternion that is not of unit length, or lengths that cannot be metres.
     """
     rows = read_numbers(path, len(COLUMNS))
+    _check_order(path, read_cells(path, len(COLUMNS))[0])
     for at, side in ((3, "base->gripper"), (10, "camera->target")):
         _check_quaternions(path, rows, at, side)
         far = np.abs(rows[:, at - 3 : at])
@@ -100,47 +97,6 @@ def pairs_text(pairs: PosePairs) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read_numbers(path: Path, n_columns: int) -> Array:
-    """Return the rows (n, c) of a CSV file of finite numbers below one header line.
-
-    Raises
-    ------
-    CalibrationError : unreadable, no header line, or a cell that is not a finite number.
-    """
-    table = read_cells(path, n_columns)
-    rows = [_numbers(path, index, cells) for index, cells in enumerate(table)]
-    return np.array(rows, dtype=np.float64).reshape(-1, n_columns)
-
-
-def read_cells(path: Path, n_columns: int) -> List[List[str]]:
-    """Return the rows of a CSV file below its header line, each of ``n_columns`` stripped cells.
-
-    Raises
-    ------
-    CalibrationError : unreadable, no header line, or a row of another length.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot read: {error}") from error
-    try:
-        table = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text))]
-    except csv.Error as error:
-        raise CalibrationError(f"{path}: not a CSV file: {error}") from error
-    table = [row for row in table if any(row)]
-    if not table:
-        raise CalibrationError(f"{path}: the file is empty")
-    if all(_is_number(cell) for cell in table[0]):
-        raise CalibrationError(f"{path}: the first line must name the columns, found numbers")
-    for index, row in enumerate(table[1:]):
-        if len(row) != n_columns:
-            raise CalibrationError(
-                f"{path}: row {index + 1} has {len(row)} columns, expected {n_columns}"
-            )
-    _check_order(path, table[0])
-    return table[1:]
-
-
 def _check_order(path: Path, header: Sequence[str]) -> None:
     """Refuse quaternions that are named in the order w x y z."""
     names = [name.lower().rstrip("_m") for name in header]
@@ -154,25 +110,6 @@ def _check_order(path: Path, header: Sequence[str]) -> None:
 
 def _places(names: Sequence[str], ending: str) -> List[int]:
     return [index for index, name in enumerate(names) if name.endswith(ending)]
-
-
-def _numbers(path: Path, index: int, cells: Sequence[str]) -> List[float]:
-    for column, cell in enumerate(cells):
-        # written so that NaN is refused
-        if not _is_number(cell) or not abs(float(cell)) <= MAX_NUMBER:
-            raise CalibrationError(
-                f"{path}: row {index + 1}, column {column + 1}: {cell[:40]!r} is not a finite "
-                f"number up to {MAX_NUMBER:g}"
-            )
-    return [float(cell) for cell in cells]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _check_quaternions(path: Path, rows: Array, at: int, side: str) -> None:

@@ -5,16 +5,17 @@ approach has its own offset, and twice that is the backlash. Source: ours.
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, NamedTuple, Tuple
+from typing import Any, Dict, List, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
 from apex_edge.errors import CalibrationError
 from apex_edge.types import Array
-from calib.pose_pairs import read_cells
-from calib.verdict import WARN, Limit, Verdict, judge, worst
+from calib.csv_rows import read_cells
+from calib.spread import rms
+from calib.verdict import WARN, Limit, Verdict, judge, known, worst
 from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US
 
 COLUMNS = ("servo_id", "pulse_us", "angle_deg", "direction")
@@ -53,42 +54,24 @@ class ServoFit:
     servo_id: int
     verdict: str
     reasons: Tuple[str, ...]
-    zero_us: float
-    us_per_rad: float
-    sd_zero_us: float
-    sd_us_per_rad: float
-    backlash_deg: float
-    sd_backlash_deg: float
-    residual_up_deg: float
-    residual_down_deg: float
-    left_out_deg: float
-    bend_deg: float
     span_deg: float
     n_samples: int
     rejected: Tuple[Tuple[int, str], ...]
+    zero_us: float = math.nan
+    us_per_rad: float = math.nan
+    sd_zero_us: float = math.nan
+    sd_us_per_rad: float = math.nan
+    backlash_deg: float = math.nan
+    sd_backlash_deg: float = math.nan
+    residual_up_deg: float = math.nan
+    residual_down_deg: float = math.nan
+    left_out_deg: float = math.nan
+    bend_deg: float = math.nan
 
     def plain(self) -> Dict[str, Any]:
         """Return it as plain values, with null for what is not known."""
-        values = {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in asdict(self).items()
-        }
-        values["rejected"] = [{"row": row, "why": why} for row, why in self.rejected]
-        return {**values, "reasons": list(self.reasons)}
-
-
-class _Numbers(NamedTuple):
-    """The measured part of a ``ServoFit``."""
-
-    zero_us: float
-    us_per_rad: float
-    sd_zero_us: float
-    sd_us_per_rad: float
-    backlash_deg: float
-    sd_backlash_deg: float
-    residual_up_deg: float
-    residual_down_deg: float
-    left_out_deg: float
+        rejected = [{"row": row, "reason": why} for row, why in self.rejected]
+        return {**known(asdict(self)), "reasons": list(self.reasons), "rejected": rejected}
 
 
 class _Line(NamedTuple):
@@ -107,7 +90,7 @@ def read_samples(path: Path) -> ServoSamples:
     ------
     CalibrationError : unreadable, or a row that is not of that form or out of range.
     """
-    rows = [_sample(path, index, cells) for index, cells in enumerate(read_cells(path, 4))]
+    rows = [_sample(path, index, cells) for index, cells in enumerate(read_cells(path, 4)[1:])]
     if not rows:
         raise CalibrationError(f"{path}: no sample in the file")
     ids, pulses, angles, ups = zip(*rows)
@@ -157,7 +140,7 @@ def solve(samples: ServoSamples) -> Tuple[ServoFit, ...]:
     return tuple(_fit(samples.pick(samples.servo_id == servo_id)) for servo_id in ids)
 
 
-def overall(fits: Tuple[ServoFit, ...]) -> Verdict:
+def overall(fits: Sequence[ServoFit]) -> Verdict:
     """Return the worst verdict of all servos, with every reason and whose it is."""
     reasons = [f"servo {fit.servo_id}: {reason}" for fit in fits for reason in fit.reasons]
     return Verdict(worst([fit.verdict for fit in fits]), tuple(reasons))
@@ -178,83 +161,78 @@ def _fit(samples: ServoSamples) -> ServoFit:
     ]
     kept = _agreeing(samples)
     used = samples.pick(kept)
+    fit = ServoFit(
+        int(samples.servo_id[0]), "", (), span_deg, len(samples.row), _rejected(samples, kept)
+    )
     if judge(early).is_refused or kept.sum() < MIN_SAMPLES:
         lost = [Limit(float(kept.sum()), MIN_SAMPLES, MIN_SAMPLES, "{:.0f} readings agree", True)]
-        return _made(samples, kept, judge(early + lost), _Numbers(*[math.nan] * 9))
-    line = _least_squares(_design(used), used.angle_deg)
-    offset, slope = line.beta[0], line.beta[1]
-    up, down = used.is_up, ~used.is_up
-    is_both = bool(up.any() and down.any())
-    us_per_rad = math.degrees(1.0) / slope
-    zero_us = -offset / slope
-    to_zero = np.array([-1.0 / slope, offset / slope**2])
-    values = _Numbers(
-        float(zero_us),
-        float(us_per_rad),
-        math.sqrt(to_zero @ line.cov[:2, :2] @ to_zero),
-        float(abs(us_per_rad / slope)) * math.sqrt(line.cov[1, 1]),
-        2.0 * abs(float(line.beta[2])) if is_both else math.nan,
-        2.0 * math.sqrt(line.cov[2, 2]) if is_both else math.nan,
-        _rms(line.residual[up]),
-        _rms(line.residual[down]),
-        _rms(line.residual / np.maximum(1.0 - line.leverage, 1e-6)),
-    )
-    verdict = judge([*early, *_limits(values, 1.0 - kept.mean())])
+        return _judged(fit, judge(early + lost))
+    fit = _with_line(fit, used)
     bend_deg, is_bent = _bend(used)
+    fit = replace(fit, bend_deg=bend_deg)
+    verdict = judge([*early, *_limits(fit, 1.0 - kept.mean())])
     reasons = list(verdict.reasons)
-    if not is_both:
-        reasons.append(f"approached {UP if up.any() else DOWN} only: the backlash is not known")
+    if not math.isfinite(fit.backlash_deg):
+        reasons.append(
+            f"approached {UP if used.is_up.any() else DOWN} only: the backlash is not known"
+        )
     if is_bent:
         reasons.append(f"pulse and angle are not on a line: {bend_deg:.2f} deg at the ends")
     grade = worst([verdict.grade, *([WARN] if reasons else [])])
-    return _made(samples, kept, Verdict(grade, tuple(reasons)), values, bend_deg)
+    return _judged(fit, Verdict(grade, tuple(reasons)))
 
 
-def _made(
-    samples: ServoSamples,
-    kept: Array,
-    verdict: Verdict,
-    values: _Numbers,
-    bend_deg: float = math.nan,
-) -> ServoFit:
+def _judged(fit: ServoFit, verdict: Verdict) -> ServoFit:
+    return replace(fit, verdict=verdict.grade, reasons=tuple(verdict.reasons))
+
+
+def _with_line(fit: ServoFit, used: ServoSamples) -> ServoFit:
+    line = _least_squares(_design(used), used.angle_deg)
+    offset, slope = line.beta[0], line.beta[1]
+    is_both = len(line.beta) > 2
+    us_per_rad = math.degrees(1.0) / slope
+    to_zero = np.array([-1.0 / slope, offset / slope**2])
+    return replace(
+        fit,
+        zero_us=float(-offset / slope),
+        us_per_rad=float(us_per_rad),
+        sd_zero_us=math.sqrt(to_zero @ line.cov[:2, :2] @ to_zero),
+        sd_us_per_rad=float(abs(us_per_rad / slope)) * math.sqrt(line.cov[1, 1]),
+        backlash_deg=2.0 * abs(float(line.beta[2])) if is_both else math.nan,
+        sd_backlash_deg=2.0 * math.sqrt(line.cov[2, 2]) if is_both else math.nan,
+        residual_up_deg=rms(line.residual[used.is_up]),
+        residual_down_deg=rms(line.residual[~used.is_up]),
+        left_out_deg=rms(line.residual / np.maximum(1.0 - line.leverage, 1e-6)),
+    )
+
+
+def _rejected(samples: ServoSamples, kept: Array) -> Tuple[Tuple[int, str], ...]:
     off = _off_deg(samples)
-    rejected = tuple(
+    return tuple(
         (int(samples.row[i]), f"{off[i]:+.1f} deg off the line of the others")
         for i in np.flatnonzero(~kept)
     )
-    return ServoFit(
-        servo_id=int(samples.servo_id[0]),
-        verdict=verdict.grade,
-        reasons=tuple(verdict.reasons),
-        **values._asdict(),
-        bend_deg=bend_deg,
-        span_deg=float(np.ptp(samples.angle_deg)),
-        n_samples=len(samples.row),
-        rejected=rejected,
-    )
 
 
-def _limits(values: _Numbers, rejected_share: float) -> List[Limit]:
+def _limits(fit: ServoFit, rejected_share: float) -> List[Limit]:
     residuals = (
-        (UP, values.residual_up_deg),
-        (DOWN, values.residual_down_deg),
-        ("left out", values.left_out_deg),
+        (UP, fit.residual_up_deg),
+        (DOWN, fit.residual_down_deg),
+        ("left out", fit.left_out_deg),
     )
     limits = [
         Limit(residual, GOOD_DEG, REFUSED_DEG, "residual {:.2f} deg, " + name)
         for name, residual in residuals
         if math.isfinite(residual)
     ]
-    if math.isfinite(values.backlash_deg):
-        limits.append(Limit(values.backlash_deg, 2.0, 8.0, "backlash {:.2f} deg"))
+    if math.isfinite(fit.backlash_deg):
+        limits.append(Limit(fit.backlash_deg, 2.0, 8.0, "backlash {:.2f} deg"))
     limits += [
         Limit(rejected_share, 0.1, 0.2, "{:.0%} of the readings contradict the others"),
         Limit(
-            abs(values.us_per_rad), MAX_US_PER_RAD, MAX_US_PER_RAD, "{:.0f} us per rad; in degrees?"
+            abs(fit.us_per_rad), MAX_US_PER_RAD, MAX_US_PER_RAD, "{:.0f} us per rad; in degrees?"
         ),
-        Limit(
-            abs(values.zero_us - 1500.0), 1500.0, 2500.0, "pulse at angle 0 is {:.0f} us off 1500"
-        ),
+        Limit(abs(fit.zero_us - 1500.0), 1500.0, 2500.0, "pulse at angle 0 is {:.0f} us off 1500"),
     ]
     return limits
 
@@ -327,7 +305,3 @@ def _bend(samples: ServoSamples) -> Tuple[float, bool]:
     line = _least_squares(np.column_stack([design, curve]), samples.angle_deg)
     bend, sd = float(line.beta[-1]), math.sqrt(float(line.cov[-1, -1]))
     return bend, abs(bend) > max(3.0 * sd, GOOD_DEG)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan

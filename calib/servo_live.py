@@ -9,13 +9,12 @@ import numpy as np
 
 from apex_edge.errors import CalibrationError, ConfigError
 from apex_edge.types import Array
+from calib.moving import RATE_SHARE, may_go
 from calib.servo import ServoSamples
-from firmware_bridge.errors import MotionRefused
-from firmware_bridge.guard import Limits, check_path
+from firmware_bridge.guard import Limits
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.ready import ReadyArm
 
-RATE_SHARE = 0.15
 ROOM = Limits(min_tip_z_m=0.02, min_link_z_m=0.02)
 _N_ANGLES = 9
 _EDGE = 0.03  # of the range that is left at both ends
@@ -39,7 +38,7 @@ def poses_for(arm: ArmModel, joint: str) -> Array:
     poses[:, at] = np.linspace(low + edge, high - edge, _N_ANGLES)
     if arm.us_per_rad[at] < 0.0:
         poses = poses[::-1]
-    free = np.array([_is_free(arm, pose) for pose in poses])
+    free = np.array([may_go(arm, arm.home_rad, pose, ROOM) for pose in poses])
     if free.sum() < 5:
         raise CalibrationError(
             f"{joint}: only {int(free.sum())} of {_N_ANGLES} angles can be reached from home"
@@ -78,11 +77,3 @@ def collect(ready: ReadyArm, joint: str, poses: Array, ask: Ask) -> ServoSamples
     return ServoSamples(
         ids, np.array(pulses, dtype=float), np.array(angles), np.array(ups), np.arange(1, n + 1)
     )
-
-
-def _is_free(arm: ArmModel, pose: Array) -> bool:
-    try:
-        check_path(arm, arm.home_rad, pose[None], np.array([1.0]), ROOM)
-    except MotionRefused:
-        return False
-    return True

@@ -1,8 +1,8 @@
-"""What a live calibration needs of the settings file: the camera's section and the arm's."""
+"""What a live calibration needs of the settings: the camera's section and the arm's."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Mapping
+from typing import Any, Mapping, Optional
 
 from apex_edge import plugins
 from apex_edge.cameras.base import Camera, CameraConfig
@@ -10,6 +10,8 @@ from apex_edge.config import read_toml, structure
 from apex_edge.errors import ConfigError
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.ready import ArmConfig
+
+RECORDED = ("mcap", "video", "folder")
 
 
 @dataclass(frozen=True)
@@ -21,17 +23,23 @@ class Bench:
     where: str
 
     @classmethod
-    def read(cls, path: Path) -> "Bench":
-        """Read a settings file.
+    def read(
+        cls, config: Optional[Path], kind: Optional[str] = None, path: Optional[str] = None
+    ) -> "Bench":
+        """Read a settings file, or take the defaults, with the camera's kind and path replaced.
 
         Raises
         ------
         ConfigError : unreadable, or a key of these two sections is wrong.
         """
-        data = read_toml(path)
-        camera = structure(CameraConfig, _section(data, "camera", path), f"{path} [camera]")
-        arm = structure(ArmConfig, _section(data, "arm", path), f"{path} [arm]")
-        return cls(camera, arm, str(path))
+        data = read_toml(config) if config is not None else {}
+        where = str(config or "defaults (no --config)")
+        camera = structure(CameraConfig, _section(data, "camera", where), f"{where} [camera]")
+        arm = structure(ArmConfig, _section(data, "arm", where), f"{where} [arm]")
+        camera = replace(
+            camera, type=kind or camera.type, path=camera.path if path is None else path
+        )
+        return cls(camera, arm, where)
 
     def model(self) -> ArmModel:
         """Load the arm's data.
@@ -46,26 +54,28 @@ class Bench:
             )
         return ArmModel.load(self.arm.type)
 
-    def open_camera(self) -> Camera:
-        """Make the live camera, without its calibration: that is what is being measured.
+    def open_camera(self, is_now: bool = True) -> Camera:
+        """Make the camera, without its calibration: that is what is being measured.
 
-        Stamps are those of the grab, with no latency taken off.
+        Stamps are those of the grab, with no latency taken off. With ``is_now`` it must see the
+        present.
 
         Raises
         ------
-        ConfigError : the source is not live. PluginError : no such camera.
+        ConfigError : it shows what no calibration can use. PluginError : no such camera.
         """
-        if self.camera.type in ("twin", "mcap", "video", "folder"):
-            raise ConfigError(
-                f"{self.where} [camera]: type = {self.camera.type!r} is no camera that sees now"
-            )
+        kind = self.camera.type
+        if kind == "twin":
+            raise ConfigError("camera type 'twin' shows no board; type 'board' simulates one")
+        if is_now and kind in RECORDED:
+            raise ConfigError(f"{self.where} [camera]: type = {kind!r} is no camera that sees now")
         bare = replace(self.camera, calibration="", latency_s=0.0)
-        camera: Camera = plugins.load("cameras", self.camera.type)(bare)
+        camera: Camera = plugins.load("cameras", kind)(bare)
         return camera
 
 
-def _section(data: Mapping[str, Any], name: str, path: Path) -> Mapping[str, Any]:
+def _section(data: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
     section = data.get(name, {})
     if not isinstance(section, Mapping):
-        raise ConfigError(f"{path}: {name} must be a table, found {section!r}")
+        raise ConfigError(f"{where}: {name} must be a table, found {section!r}")
     return section

@@ -16,6 +16,7 @@ from apex_edge.errors import CalibrationError, ConfigError
 from apex_edge.geometry import camera_matrix
 from apex_edge.types import Array, Frame, Intrinsics
 from calib.boards import Board, black_boxes, parse_board
+from calib.rigid import pose, turn_from_vector, vector_from_turn
 
 CELL_PX = 96  # texture pixels per square
 MARGIN = 1.0  # white paper around the squares, in squares
@@ -84,16 +85,13 @@ def board_pose(
     """
     facing = np.diag([1.0, -1.0, -1.0])  # the board's y is up and its z towards the camera
     turn = (
-        cv2.Rodrigues(np.radians([tilt_x_deg, 0.0, 0.0]))[0]
-        @ cv2.Rodrigues(np.radians([0.0, tilt_y_deg, 0.0]))[0]
-        @ cv2.Rodrigues(np.radians([0.0, 0.0, spin_deg]))[0]
+        turn_from_vector(np.radians([tilt_x_deg, 0.0, 0.0]))
+        @ turn_from_vector(np.radians([0.0, tilt_y_deg, 0.0]))
+        @ turn_from_vector(np.radians([0.0, 0.0, spin_deg]))
         @ facing
     )
-    pose = np.eye(4)
-    pose[:3, :3] = turn
     middle = 0.5 * np.array([*board.size_m, 0.0])
-    pose[:3, 3] = np.asarray(centre_m, dtype=np.float64) - turn @ middle
-    return pose
+    return pose(turn, np.asarray(centre_m, dtype=np.float64) - turn @ middle)
 
 
 def varied_poses(board: Board, lens: Intrinsics, n: int, tilt_deg: float = 35.0) -> Array:
@@ -180,11 +178,9 @@ class BoardCamera(Camera):
         index, step = divmod(seq, HOLD_FRAMES + MOVE_FRAMES)
         start, end = varied_poses(self.board, self.lens, index + 2)[-2:]
         share = max(0.0, (step - HOLD_FRAMES + 1) / (MOVE_FRAMES + 1.0))
-        axis, _ = cv2.Rodrigues(end[:3, :3] @ start[:3, :3].T)
-        pose: Array = start.copy()
-        pose[:3, :3] = cv2.Rodrigues(share * axis)[0] @ start[:3, :3]
-        pose[:3, 3] = (1.0 - share) * start[:3, 3] + share * end[:3, 3]
-        return pose
+        axis = vector_from_turn(end[:3, :3] @ start[:3, :3].T)
+        turn = turn_from_vector(share * axis) @ start[:3, :3]
+        return pose(turn, (1.0 - share) * start[:3, 3] + share * end[:3, 3])
 
 
 def _texture(board: Board, scale: float) -> Array:

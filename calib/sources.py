@@ -1,24 +1,23 @@
 """Where a calibration's pictures come from: files, or a live camera with advice on what to show."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Iterator, List, Sequence, Tuple
 
 import cv2
 
-from apex_edge import plugins
-from apex_edge.cameras.base import Camera, CameraConfig
-from apex_edge.config import read_toml, structure
-from apex_edge.errors import CalibrationError, ConfigError
+from apex_edge.errors import CalibrationError
 from apex_edge.types import Array
 from apex_edge.verbs.progress import Progress
+from calib import plot
 from calib.boards import Board
 from calib.collect import KEPT, Advice, Collector
 from calib.detect import View, detect
 from calib.files import encode_png, read_picture, write_whole
 from calib.lens_picture import coverage_picture
-from calib.made import data_digest, files_digest
+from calib.made import Data, file_data, raw_data
+from calib.settings import Bench
 
 PREVIEW_S = 0.5
 Tell = Callable[[str], None]
@@ -26,12 +25,13 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Source:
-    """Views of a board, the pictures' size, their hash, and the pictures without a board."""
+    """Views of a board, the pictures' size, the raw data, and the pictures without a board."""
 
     views: Tuple[View, ...]
     size_px: Tuple[int, int]
-    data_sha256: str
-    not_found: Tuple[str, ...]
+    data: Data
+    not_found: Tuple[str, ...] = ()
+    paths: Tuple[Path, ...] = ()
 
 
 def from_files(paths: Sequence[Path], board: Board) -> Source:
@@ -55,42 +55,28 @@ def from_files(paths: Sequence[Path], board: Board) -> Source:
     return Source(
         views=tuple(views),
         size_px=max(sizes, key=sizes.count),  # so that the odd one out is named
-        data_sha256=files_digest(paths),
+        data=file_data(paths),
         not_found=tuple(path.name for path in paths if path.name not in found),
+        paths=tuple(paths),
     )
 
 
-def camera_settings(config: Optional[str], kind: Optional[str], path: Optional[str]) -> Any:
-    """Return the [camera] settings of a file, or the defaults, with kind and path replaced.
+def frames(bench: Bench) -> Iterator[Tuple[float, Array]]:
+    """Yield capture time and picture (h, w, 3) of a camera until it ends.
 
     Raises
     ------
-    ConfigError : the file cannot be used, or names the twin, which shows no board.
+    ConfigError : it shows no board. CameraError : it gives no picture.
     """
-    values = read_toml(config).get("camera", {}) if config is not None else {}
-    if not isinstance(values, dict):
-        raise ConfigError(f"{config}: camera must be a table, found {values!r}")
-    settings = structure(CameraConfig, values, f"{config} [camera]")
-    # an older calibration would only be checked against the new one's picture size
-    settings = replace(settings, calibration="", type=kind or settings.type)
-    settings = replace(settings, path=settings.path if path is None else path)
-    if settings.type == "twin":
-        raise ConfigError("camera type 'twin' shows no board; type 'board' simulates one")
-    return settings
-
-
-def frames(settings: CameraConfig) -> Iterator[Tuple[float, Array]]:
-    """Yield capture time and picture (h, w, 3) of a camera until it ends."""
-    camera: Camera = plugins.load("cameras", settings.type)(settings)
-    with camera:
+    with bench.open_camera(is_now=False) as camera:
         while True:
-            frame = camera.read(settings.timeout_s)
+            frame = camera.read(bench.camera.timeout_s)
             if frame is None:
                 return
             yield frame.t_s, frame.colour_bgr
 
 
-def from_camera(settings: CameraConfig, board: Board, preview: Path, tell: Tell) -> Source:
+def from_camera(bench: Bench, board: Board, preview: Path, tell: Tell) -> Source:
     """Collect views until nothing is missing or the source ends.
 
     Parameters
@@ -101,7 +87,7 @@ def from_camera(settings: CameraConfig, board: Board, preview: Path, tell: Tell)
     collector = Collector(board)
     size_px, last_line, next_s = (0, 0), "", float("-inf")
     try:
-        for t_s, picture in frames(settings):
+        for t_s, picture in frames(bench):
             size_px = (picture.shape[1], picture.shape[0])
             advice = collector.step(picture)
             line = f"{advice.n_kept} views; {advice.state}; {advice.hint or 'complete'}"
@@ -119,7 +105,7 @@ def from_camera(settings: CameraConfig, board: Board, preview: Path, tell: Tell)
     if not collector.views:
         raise CalibrationError(f"the camera showed the board {board.name} in no frame, held still")
     corners = (view.corners_px.tobytes() for view in collector.views)
-    return Source(tuple(collector.views), size_px, data_digest(corners), ())
+    return Source(tuple(collector.views), size_px, raw_data(corners))
 
 
 def to_stderr(line: str) -> None:
@@ -137,13 +123,10 @@ def grid_text(advice: Advice) -> str:
 def _preview(picture: Array, advice: Advice, line: str) -> Array:
     """Return the frame with the found corners, tinted by what is covered, and the advice."""
     height, width = picture.shape[:2]
-    shown: Array = cv2.addWeighted(
-        picture, 0.7, coverage_picture(advice.coverage, (width, height)), 0.3, 0.0
-    )
+    covered = coverage_picture(advice.coverage, (width, height))
+    shown: Array = cv2.addWeighted(picture, 0.7, covered, 0.3, 0.0)
     if advice.view is not None:
-        for x, y in advice.view.corners_px:
-            cv2.circle(shown, (round(x), round(y)), 3, (60, 190, 250), -1, cv2.LINE_AA)
-    place = (8, height - 10)
-    cv2.putText(shown, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (20, 20, 20), 3, cv2.LINE_AA)
-    cv2.putText(shown, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (250, 250, 250), 1, cv2.LINE_AA)
+        for corner in advice.view.corners_px:
+            plot.disc(shown, corner, 3.0, plot.FOUND)
+    plot.label(shown, line, (8, height - 10), 0.5)
     return shown

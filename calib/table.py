@@ -10,16 +10,17 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Dict, List, Sequence, Tuple
 
-import cv2
 import numpy as np
 
 from apex_edge.errors import CalibrationError
 from apex_edge.geometry import camera_matrix, on_plane, project
 from apex_edge.types import Array, CameraModel, Intrinsics
-from calib.boards import Board
+from calib.boards import Board, require_origin
 from calib.detect import View
 from calib.planar_pose import refine, two_poses
-from calib.verdict import Limit, Verdict, judge
+from calib.rigid import pose, quaternion_from_turn, turn_from_vector
+from calib.spread import rms_length
+from calib.verdict import Limit, Verdict, judge, known
 
 MIN_POINTS = 4
 MIN_THICKNESS = 0.03  # of a set of points: smaller over larger extent; below, they are a line
@@ -60,9 +61,9 @@ class Sighting:
 class TableResult:
     """A camera over the table and how well its place is known.
 
-    ``residuals_px (n, 2)`` found minus expected; ``leave_one_out_mm`` the worst rms error of a
+    ``residuals_px (n, 2)`` found minus expected; ``left_out_mm`` the worst rms error of a
     group that was left out (NaN with four points); ``workspace_mm`` how far the map of the
-    workspace moved at most meanwhile; ``position_sd_m (3,)``, ``angle_sd_rad (3,)``;
+    workspace moved at most meanwhile; ``sd_translation_m (3,)``, ``sd_rotation_rad (3,)``;
     ``elevation_rad`` of the line of sight over the table; ``table_from_px (3, 3)`` homography of
     undistorted pixels to table metres at z = 0.
     """
@@ -72,10 +73,10 @@ class TableResult:
     verdict: Verdict
     rms_px: float
     residuals_px: Array
-    leave_one_out_mm: float
+    left_out_mm: float
     workspace_mm: float
-    position_sd_m: Array
-    angle_sd_rad: Array
+    sd_translation_m: Array
+    sd_rotation_rad: Array
     elevation_rad: float
     second_rms_px: float
     n_workspace: int
@@ -83,36 +84,23 @@ class TableResult:
 
     def figures(self) -> Dict[str, Any]:
         """Return all figures as plain values, for the file and for ``--json``."""
-        lens = self.camera
-        loo_mm = self.leave_one_out_mm
-        return {
+        pose = self.camera.table_from_cam
+        plain = {
             "rms_px": self.rms_px,
-            "thickness_mm": 1e3 * self.height_m,
             "n_points": len(self.residuals_px),
-            "leave_one_out_mm": None if math.isnan(loo_mm) else loo_mm,
-            "workspace_mm": None if math.isnan(self.workspace_mm) else self.workspace_mm,
-            "position_m": lens.table_from_cam[:3, 3].tolist(),
-            "position_sd_mm": (1e3 * self.position_sd_m).tolist(),
-            "angle_sd_deg": np.degrees(self.angle_sd_rad).tolist(),
+            "left_out_mm": self.left_out_mm,
+            "workspace_mm": self.workspace_mm,
+            "thickness_mm": 1e3 * self.height_m,
             "elevation_deg": math.degrees(self.elevation_rad),
             "second_pose_rms_px": self.second_rms_px,
-            "table_from_cam": lens.table_from_cam.tolist(),
+            "translation_m": pose[:3, 3].tolist(),
+            "quaternion_xyzw": quaternion_from_turn(pose[:3, :3]).tolist(),
+            "sd_translation_mm": (1e3 * self.sd_translation_m).tolist(),
+            "sd_rotation_deg": np.degrees(self.sd_rotation_rad).tolist(),
+            "table_from_cam": pose.tolist(),
             "homography_table_m_from_undistorted_px": self.table_from_px.tolist(),
         }
-
-
-def require_origin(board: Board) -> None:
-    """Refuse a board whose origin cannot be told.
-
-    Raises
-    ------
-    CalibrationError : the board looks the same upside down.
-    """
-    if board.is_ambiguous:
-        raise CalibrationError(
-            f"board {board.name} looks the same after half a turn, so its origin is unknown; for "
-            "the table use a ChArUco board, or a chessboard with one even and one odd count (9x6)"
-        )
+        return {**self.verdict.plain(), **known(plain)}
 
 
 def place(view: View, board: Board, where: Placement) -> Sighting:
@@ -165,7 +153,7 @@ def solve(lens: Intrinsics, sightings: Sequence[Sighting], height_m: float) -> T
     left_out = _leave_out(camera, (pixels, table_m), _groups(sightings), height_m)
     loo_mm = [error for _, error in left_out]
     moved_mm = [_shift_mm(camera, other, workspace, table_m, height_m) for other, _ in left_out]
-    position_sd_m, angle_sd_rad = _sds(camera, pixels, table_m, height_m)
+    sd_translation_m, sd_rotation_rad = _sds(camera, pixels, table_m, height_m)
     ray = np.append(table_m.mean(axis=0), height_m) - camera.table_from_cam[:3, 3]
     flat = np.delete(np.linalg.inv(camera.table_from_cam)[:3], 2, axis=1)
     result = TableResult(
@@ -174,10 +162,10 @@ def solve(lens: Intrinsics, sightings: Sequence[Sighting], height_m: float) -> T
         verdict=Verdict("", ()),
         rms_px=rms_px,
         residuals_px=pixels - _expected(camera, table_m, height_m),
-        leave_one_out_mm=max(loo_mm, default=math.nan),
+        left_out_mm=max(loo_mm, default=math.nan),
         workspace_mm=max(moved_mm, default=math.nan),
-        position_sd_m=position_sd_m,
-        angle_sd_rad=angle_sd_rad,
+        sd_translation_m=sd_translation_m,
+        sd_rotation_rad=sd_rotation_rad,
         elevation_rad=math.atan2(-ray[2], float(np.hypot(ray[0], ray[1]))),
         second_rms_px=second_rms_px,
         n_workspace=len(workspace),
@@ -280,7 +268,7 @@ def _leave_out(
         at_height = np.column_stack([table_m[rest], np.full(len(rest), height_m)])
         other, _ = refine(camera, pixels[rest], at_height)
         miss_m = on_plane(other, pixels[group], np.asarray(height_m))[:, :2] - table_m[group]
-        found.append((other, 1e3 * float(np.sqrt((miss_m**2).sum(axis=1).mean()))))
+        found.append((other, 1e3 * rms_length(miss_m)))
     return found
 
 
@@ -290,10 +278,8 @@ def _sds(
     """Return the sds of the camera's position (3,) and of small turns about its axes (3,)."""
 
     def moved(step: Array) -> CameraModel:
-        pose = camera.table_from_cam.copy()
-        pose[:3, 3] += step[:3]
-        pose[:3, :3] = pose[:3, :3] @ cv2.Rodrigues(step[3:])[0]
-        return replace(camera, table_from_cam=pose)
+        turn = camera.table_from_cam[:3, :3] @ turn_from_vector(step[3:])
+        return replace(camera, table_from_cam=pose(turn, camera.table_from_cam[:3, 3] + step[:3]))
 
     columns = []
     for axis in range(6):
@@ -328,11 +314,11 @@ def _judge(result: TableResult) -> Verdict:
         ),
         Limit(result.n_workspace, 1, 0, "{:.0f} points of the arm's workspace are in view", True),
     ]
-    if math.isnan(result.leave_one_out_mm):
+    if math.isnan(result.left_out_mm):
         n_points = len(result.residuals_px)
         what = "{:.0f} points leave none to check with: nothing is known of the error"
         return judge([*limits, Limit(n_points, MIN_POINTS + 1, 0, what, True)])
-    error_mm, moved_mm = result.leave_one_out_mm, result.workspace_mm
+    error_mm, moved_mm = result.left_out_mm, result.workspace_mm
     return judge(
         [
             *limits,

@@ -1,6 +1,7 @@
 """Pass, warn or refuse: figures held against limits, the same way for every calibration."""
 
-from typing import Any, Dict, List, NamedTuple, Sequence
+import math
+from typing import Any, Dict, List, Mapping, NamedTuple, Sequence
 
 PASS, WARN, REFUSE = "pass", "warn", "refuse"
 _ORDER = (PASS, WARN, REFUSE)
@@ -59,3 +60,11 @@ def judge(limits: Sequence[Limit]) -> Verdict:
 def worst(grades: Sequence[str]) -> str:
     """Return the worst of several grades; ``pass`` when there is none."""
     return max(grades, key=_ORDER.index, default=PASS)
+
+
+def known(values: Mapping[str, Any]) -> Dict[str, Any]:
+    """Return plain values for JSON, with null for numbers that are not known (NaN)."""
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in values.items()
+    }

@@ -15,8 +15,9 @@ from typing import Any, Dict, Mapping, Union
 import cv2
 import numpy as np
 
-from apex_edge import documents, geometry
+from apex_edge import documents
 from apex_edge.errors import CalibrationError
+from apex_edge.geometry import camera_matrix, is_rigid
 from apex_edge.types import Array, CameraModel, Intrinsics
 
 FORMAT = "apex-camera"
@@ -159,7 +160,7 @@ def _check_invertible(lens: Intrinsics, where: str) -> None:
         np.linspace(0.0, lens.width_px - 1.0, 5), np.linspace(0.0, lens.height_px - 1.0, 5)
     )
     pixels = np.column_stack([columns.ravel(), rows.ravel()]).reshape(-1, 1, 2)
-    matrix = geometry.camera_matrix(lens)
+    matrix = camera_matrix(lens)
     flat = cv2.undistortPoints(pixels, matrix, lens.dist)
     rays = cv2.convertPointsToHomogeneous(flat)
     back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, lens.dist)
@@ -172,11 +173,7 @@ def _check_invertible(lens: Intrinsics, where: str) -> None:
 
 
 def _check_pose(pose: Array, where: str) -> None:
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise CalibrationError(f"{where}: table_from_cam must be 4 x 4 finite numbers")
+    if not is_rigid(pose):
+        raise CalibrationError(f"{where}: table_from_cam is not a rigid transform (4 x 4)")
     if np.abs(pose[:3, 3]).max() > MAX_AWAY_M:
         raise CalibrationError(f"{where}: the camera stands over {MAX_AWAY_M:g} m from the table")
-    turn = pose[:3, :3]
-    is_rotation = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0
-    if not is_rotation or not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-12):
-        raise CalibrationError(f"{where}: table_from_cam is not a rigid transform")

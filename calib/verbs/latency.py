@@ -12,10 +12,11 @@ from apex_edge.errors import ConfigError
 from apex_edge.types import Array
 from calib import blink, files
 from calib.latency import LatencyResult, read_series, solve
-from calib.latency_output import draw, latency_document, settings_lines
-from calib.made import files_digest, made
-from calib.settings import Bench
-from calib.verbs.outcome import Told, check_usable, deliver, faults_told
+from calib.latency_file import latency_document, settings_lines
+from calib.latency_picture import draw
+from calib.made import file_data, made
+from calib.verbs import options
+from calib.verbs.outcome import Ending, check_usable, deliver, refusal_told
 
 HELP = "measure the camera's delay with a blinking or a moving target"
 EXAMPLE = "apex calibrate latency --events led.csv --frames seen.csv --out latency.json"
@@ -36,18 +37,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.csv",
         help="header, then t_s,response a row: each frame's stamp, and its brightness or position",
     )
+    options.add_camera(parser)
     parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="settings of a live camera that looks at this terminal, which will blink",
+        "--seconds", type=float, default=20.0, metavar="S", help="how long to blink (20)"
     )
-    parser.add_argument("--seconds", type=float, default=20.0, help="how long to blink (20)")
     parser.add_argument(
-        "--max-latency-s", type=float, default=0.5, help="longest delay looked for (0.5)"
+        "--max-latency-s",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="longest delay looked for (0.5)",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    options.add_out(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,41 +59,26 @@ def run(args: argparse.Namespace) -> int:
     ConfigError : neither both series nor a live camera. CameraError : live only, no picture.
     CalibrationError : a file cannot be used, or the verdict is a refusal.
     """
-    is_live = args.config is not None
-    if is_live == (args.events is not None) or (args.events is None) != (args.frames is None):
-        raise ConfigError("give --events and --frames, or --config alone")
-    events, frames = _record(args) if is_live else (args.events, args.frames)
-    with faults_told(args.json):
-        signal, response = read_series(events), read_series(frames)
+    with refusal_told(args.json) as figures:
+        is_live = options.is_live(args, "events", "frames")
+        paths = _record(args) if is_live else (args.events, args.frames)
+        signal, response = (read_series(path) for path in paths)
         result = solve(signal, response, args.max_latency_s)
-    includes = [DISPLAY] if is_live else []
-    measured = result.figures()
-    figures = {**measured, "includes": includes}
-    check_usable(result.verdict, figures, f"{events} and {frames}", args.json)
-    about = made(
-        files_digest([events, frames]),
-        result.verdict,
-        events=events.name,
-        frames=frames.name,
-        **{
-            key: value
-            for key, value in result.figures().items()
-            if key not in ("verdict", "reasons")
-        },
-    )
-    document = latency_document(result, includes, about)
-    told = Told(figures, _lines(result, includes), args.json)
-    deliver(args.out, document, draw(result, signal, response), told)
-    return 0
+        includes = [DISPLAY] if is_live else []
+        figures.update(result.figures(), includes=includes)
+        check_usable(result.verdict)
+        document = latency_document(result, includes, made(file_data(paths), figures))
+        picture = draw(result, signal, response)
+        return deliver(args, Ending(document, picture, figures, _lines(result, includes)))
 
 
 def _record(args: argparse.Namespace) -> Tuple[Path, Path]:
     """Blink and watch; returns the files of both series, kept beside the result."""
     if not sys.stderr.isatty():
-        raise ConfigError("--config needs a terminal that can blink; this is none")
+        raise ConfigError("a live camera needs a terminal that can blink; this is none")
     if not 5.0 <= args.seconds <= 300.0:
         raise ConfigError(f"--seconds {args.seconds:g} is outside [5, 300]")
-    bench = Bench.read(args.config)
+    bench = options.bench_of(args)
     terminal = blink.Terminal(sys.stderr)
     with bench.open_camera() as camera:
         try:

@@ -1,72 +1,76 @@
-"""What the verbs have in common at their end: figures told, files written whole, or a refusal."""
+"""How every calibration ends: files written whole and figures told, or a refusal."""
 
+import argparse
 import json
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Dict, Iterator, Mapping, Sequence
+from typing import Any, Dict, Iterator, Mapping, NamedTuple, Sequence, Type
 
 from apex_edge import documents
-from apex_edge.errors import CalibrationError
+from apex_edge.errors import ApexError, CalibrationError, InputError
 from apex_edge.types import Array
 from calib import files
 from calib.verdict import REFUSE, Verdict
 
+Figures = Dict[str, Any]
+
 
 @contextmanager
-def faults_told(is_json: bool) -> Iterator[None]:
-    """Tell an unusable input as JSON as well, where JSON was asked for; the error goes on."""
+def refusal_told(is_json: bool) -> Iterator[Figures]:
+    """Tell an error as JSON as well, where JSON was asked for; the error goes on.
+
+    Yields the figures that the verb fills in as they become known; what is known is told.
+    """
+    figures: Figures = {}
     try:
-        yield
-    except CalibrationError as error:
+        yield figures
+    except ApexError as error:
         if is_json:
-            print(json.dumps({"verdict": REFUSE, "reasons": [str(error)]}))
+            is_judged = figures.get("verdict") == REFUSE
+            reasons = figures["reasons"] if is_judged else [str(error)]
+            print(json.dumps({**figures, "verdict": REFUSE, "reasons": reasons}))
         raise
 
 
-def check_usable(verdict: Verdict, figures: Mapping[str, Any], where: str, is_json: bool) -> None:
+def check_usable(verdict: Verdict, fault: Type[InputError] = CalibrationError) -> None:
     """Let a verdict pass that allows a file to be written.
 
     Raises
     ------
-    CalibrationError : it is a refusal; its figures were printed as JSON where that was asked for.
+    fault : it is a refusal.
     """
-    if not verdict.is_refused:
-        return
-    if is_json:
-        print(json.dumps(figures))
-    raise CalibrationError(f"{where}: refused, nothing written: {'; '.join(verdict.reasons)}")
+    if verdict.is_refused:
+        raise fault(f"nothing written: {'; '.join(verdict.reasons)}")
 
 
-def picture_path(out: Path, *inputs: Path) -> Path:
+def picture_path(out: Path, inputs: Sequence[Path]) -> Path:
     """Return where the picture goes: beside ``out``, and over no input."""
     shown = out.with_suffix(".png")
-    return out.with_name(out.stem + "-result.png") if shown in (out, *inputs) else shown
+    taken = {path.resolve() for path in (out, *inputs)}
+    return out.with_name(out.stem + "-result.png") if shown.resolve() in taken else shown
 
 
-def deliver(
-    out: Path, document: Mapping[str, Any], picture: Array, told: "Told", *inputs: Path
-) -> None:
-    """Write a result and its picture, and tell about them.
+class Ending(NamedTuple):
+    """A signed document, the picture (h, w, 3) that shows it, and what is told of it."""
+
+    document: Mapping[str, Any]
+    picture: Array
+    figures: Figures
+    lines: Sequence[str]
+
+
+def deliver(args: argparse.Namespace, ending: Ending, inputs: Sequence[Path] = ()) -> int:
+    """Write a result to ``args.out`` and its picture beside it, tell about them; returns 0.
 
     Raises
     ------
     InputError : a file cannot be written; then neither is.
     """
-    shown = picture_path(out, *inputs)
-    text = documents.to_text(document).encode("utf-8")
-    files.write_whole({shown: files.encode_png(picture), out: text})
-    told.tell(out, shown)
-
-
-class Told:
-    """What is printed at the end: one JSON object, or lines for a reader."""
-
-    def __init__(self, figures: Dict[str, Any], lines: Sequence[str], is_json: bool) -> None:
-        self._figures, self._lines, self._is_json = figures, lines, is_json
-
-    def tell(self, out: Path, picture: Path) -> None:
-        """Print it, with the names of the files that were written."""
-        if self._is_json:
-            print(json.dumps({**self._figures, "out": str(out), "picture": str(picture)}))
-        else:
-            print("\n".join([*self._lines, f"wrote {out} and {picture}"]))
+    shown = picture_path(args.out, inputs)
+    text = documents.to_text(ending.document).encode("utf-8")
+    files.write_whole({shown: files.encode_png(ending.picture), args.out: text})
+    if args.json:
+        print(json.dumps({**ending.figures, "out": str(args.out), "picture": str(shown)}))
+    else:
+        print("\n".join([*ending.lines, f"wrote {args.out} and {shown}"]))
+    return 0

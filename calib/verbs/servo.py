@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import List, Optional, Sequence
 
 from calib import files, servo_live
-from calib.made import files_digest, made
+from calib.made import file_data, made
+from calib.moving import confirm
 from calib.servo import ServoFit, overall, read_samples, samples_text, solve
-from calib.servo_output import draw, servo_document, toml_lines
+from calib.servo_file import servo_document, toml_lines
+from calib.servo_picture import draw
 from calib.settings import Bench
-from calib.verbs.moving import confirm
-from calib.verbs.outcome import Told, check_usable, deliver, faults_told
+from calib.verbs.options import add_out
+from calib.verbs.outcome import Ending, check_usable, deliver, refusal_told
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.ready import ReadyArm
 
@@ -33,8 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, metavar="FILE", help="settings of a live arm: it will move"
     )
     parser.add_argument("--arm", default="armpi-mini", help="arm data, for the joints' names")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    add_out(parser)
     live = parser.add_argument_group("with --config")
     live.add_argument("--joint", default="yaw", help="the joint to turn (yaw)")
     live.add_argument("--yes", action="store_true", help="let the arm move without asking")
@@ -48,24 +49,22 @@ def run(args: argparse.Namespace) -> int:
     CalibrationError : the readings cannot be used, or the verdict is a refusal.
     ArmError : live only; the arm was stopped.
     """
-    arm = ArmModel.load(args.arm) if args.config is None else Bench.read(args.config).model()
-    source = args.samples if args.samples is not None else _collect(args, arm)
-    with faults_told(args.json):
+    with refusal_told(args.json) as figures:
+        bench = Bench.read(args.config)
+        arm = ArmModel.load(args.arm) if args.config is None else bench.model()
+        source = args.samples if args.config is None else _collect(args, bench, arm)
         samples = read_samples(source)
-    fits = solve(samples)
-    verdict = overall(fits)
-    figures = {**verdict.plain(), "servos": [fit.plain() for fit in fits]}
-    check_usable(verdict, figures, str(source), args.json)
-    about = made(files_digest([source]), verdict, samples=source.name, servos=figures["servos"])
-    document = servo_document(fits, arm, about)
-    told = Told({**figures, "toml": document["toml"]}, _lines(fits, arm), args.json)
-    deliver(args.out, document, draw(samples, fits), told)
-    return 0
+        fits = solve(samples)
+        verdict = overall(fits)
+        figures.update(verdict.plain(), servos=[fit.plain() for fit in fits])
+        check_usable(verdict)
+        document = servo_document(fits, arm, made(file_data([source]), figures))
+        figures["toml"] = document["toml"]
+        return deliver(args, Ending(document, draw(samples, fits), figures, _lines(fits, arm)))
 
 
-def _collect(args: argparse.Namespace, arm: ArmModel) -> Path:
+def _collect(args: argparse.Namespace, bench: Bench, arm: ArmModel) -> Path:
     """Turn one joint and ask for its angle; returns the readings' file, beside the result."""
-    bench = Bench.read(args.config)
     poses = servo_live.poses_for(arm, args.joint)
     confirm(
         f"The arm on {bench.arm.port} goes home, then {args.joint} turns slowly through "

@@ -2,7 +2,6 @@
 
 import argparse
 import itertools
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,22 +11,15 @@ import numpy as np
 
 from apex_edge import documents
 from apex_edge.cameras import calibration
-from apex_edge.errors import ApexError, CalibrationError, ConfigError
+from apex_edge.errors import CalibrationError, ConfigError
 from apex_edge.types import Array, Intrinsics
 from calib import files, sources, table, table_picture
-from calib.boards import Board
+from calib.boards import Board, require_origin
 from calib.detect import detect
-from calib.made import data_digest, files_digest, made
+from calib.made import Data, file_data, made, raw_data
 from calib.table import Placement, Sighting
-from calib.verbs.board_options import (
-    add_board,
-    add_camera,
-    add_images,
-    board_of,
-    expand,
-    picture_beside,
-    print_refusal,
-)
+from calib.verbs import options
+from calib.verbs.outcome import Ending, check_usable, deliver, refusal_told
 
 HELP = "measure where the camera stands over the table"
 EXAMPLE = (
@@ -39,21 +31,20 @@ LIVE_FRAMES, LIVE_TRIES = 10, 100
 
 @dataclass(frozen=True)
 class _Data:
-    """What was measured, a picture to draw on with the sighting in it, and the raw data's hash."""
+    """What was measured, a picture to draw on with the last sighting in it, and the raw data."""
 
     sightings: Tuple[Sighting, ...]
     picture: Optional[Array]
-    data_sha256: str
+    data: Data
+    paths: Tuple[Path, ...] = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the lens, the pictures, the board and its place, and the file to write."""
-    parser.add_argument(
-        "--camera-file", required=True, metavar="FILE", help="from apex calibrate intrinsics"
-    )
-    add_images(parser)
-    add_camera(parser)
-    add_board(parser, is_required=False)
+    options.add_lens(parser)
+    options.add_images(parser)
+    options.add_camera(parser)
+    options.add_board(parser, is_required=False)
     parser.add_argument(
         "--origin-mm",
         action="append",
@@ -73,8 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PX,PY=X,Y",
         help="instead of a board: a pixel and its place on the table in mm; at least four",
     )
-    parser.add_argument("--out", required=True, metavar="FILE", help="camera file to write")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    options.add_out(parser, "camera file to write")
 
 
 def parse_origin(text: str) -> Placement:
@@ -119,40 +109,26 @@ def run(args: argparse.Namespace) -> int:
     CalibrationError : no board, or a pose that cannot be trusted; the message says why.
     RecordingError : a picture cannot be read. CameraError : the camera gives no frames.
     """
-    out = Path(args.out)
-    figures: Dict[str, Any] = {}
-    try:
-        lens = calibration.load_intrinsics(args.camera_file)
-        data = _by_hand(args, lens) if args.point else _by_board(args, lens)
-        result = table.solve(lens, data.sightings, 1e-3 * args.thickness_mm)
-        figures = result.figures()
-        if result.verdict.is_refused:
-            raise CalibrationError(f"nothing written: {'; '.join(result.verdict.reasons)}")
-    except ApexError as error:
-        if args.json:
-            print_refusal(error, figures)
-        raise
-    about = {**figures, **_about(args, data), "lens": _lens_made(Path(args.camera_file))}
-    document = calibration.camera_document(
-        result.camera, made(data.data_sha256, result.verdict, **about)
-    )
-    shown = picture_beside(out)
-    drawn = table_picture.draw(data.picture, result, data.sightings[-1])
-    text = documents.to_text(document).encode("utf-8")
-    files.write_whole({shown: files.encode_png(drawn), out: text})
-    if args.json:
-        where = {"out": str(out), "picture": str(shown)}
-        print(json.dumps({**result.verdict.plain(), **figures, **where}))
-    else:
-        print("\n".join([*_lines(result), f"wrote {out} and {shown}"]))
-    return 0
+    with refusal_told(args.json) as figures:
+        lens_file = options.lens_file(args)
+        lens = calibration.load_intrinsics(lens_file)
+        found = _by_hand(args, lens) if args.point else _by_board(args, lens)
+        figures.update(_about(args))
+        result = table.solve(lens, found.sightings, 1e-3 * args.thickness_mm)
+        figures.update(result.figures())
+        check_usable(result.verdict)
+        about = made(found.data, {**figures, "lens": _lens_made(lens_file)})
+        document = calibration.camera_document(result.camera, about)
+        picture = table_picture.draw(found.picture, result, found.sightings[-1])
+        return deliver(args, Ending(document, picture, figures, _lines(result)), found.paths)
 
 
 def _by_hand(args: argparse.Namespace, lens: Intrinsics) -> _Data:
     if args.origin_mm or args.board or args.camera or args.config:
         raise ConfigError("give either --point or a board with its --origin-mm, not both")
     picture = None
-    for path in expand(args.images or []):
+    paths = options.expand(args.images or [])
+    for path in paths:
         picture = files.read_picture(path)
         calibration.check_size(lens, picture, str(path))
     values = np.array(args.point)
@@ -163,20 +139,18 @@ def _by_hand(args: argparse.Namespace, lens: Intrinsics) -> _Data:
             f"{lens.width_px}x{lens.height_px} picture"
         )
     seen = table.points(values[:, :2], values[:, 2:])
-    return _Data((seen,), picture, data_digest([values.tobytes()]))
+    return _Data((seen,), picture, raw_data([values.tobytes()]), tuple(paths))
 
 
 def _by_board(args: argparse.Namespace, lens: Intrinsics) -> _Data:
     if not (args.board and args.square_mm and args.origin_mm):
         raise ConfigError("give --board, --square-mm and --origin-mm, or --point at least 4 times")
-    is_live = args.config is not None or args.camera is not None
-    if is_live == bool(args.images):
-        raise ConfigError("give either --images or a camera (--camera or --config)")
-    board = board_of(args)
-    table.require_origin(board)
+    is_live = options.is_live(args, "images")
+    board = options.board_of(args)
+    require_origin(board)
     if is_live:
         return _from_camera(args, lens, board)
-    groups = [expand([given]) for given in args.images]
+    groups = [options.expand([given]) for given in args.images]
     if len(args.origin_mm) not in (1, len(groups)):
         raise ConfigError(
             f"{len(args.origin_mm)} --origin-mm for {len(groups)} --images; give one for all, or "
@@ -188,7 +162,7 @@ def _by_board(args: argparse.Namespace, lens: Intrinsics) -> _Data:
             picture = files.read_picture(path)
             seen.append(_look(picture, lens, board, (where, str(path))))
     paths = [path for group in groups for path in group]
-    return _Data(tuple(seen), picture, files_digest(paths))
+    return _Data(tuple(seen), picture, file_data(paths), tuple(paths))
 
 
 def _look(picture: Array, lens: Intrinsics, board: Board, where: Tuple[Placement, str]) -> Sighting:
@@ -203,9 +177,8 @@ def _look(picture: Array, lens: Intrinsics, board: Board, where: Tuple[Placement
 def _from_camera(args: argparse.Namespace, lens: Intrinsics, board: Board) -> _Data:
     if len(args.origin_mm) != 1:
         raise ConfigError("a live camera sees one board in one place: give one --origin-mm")
-    settings = sources.camera_settings(args.config, args.camera, args.path)
     seen: List[Sighting] = []
-    for _, picture in itertools.islice(sources.frames(settings), LIVE_TRIES):
+    for _, picture in itertools.islice(sources.frames(options.bench_of(args)), LIVE_TRIES):
         calibration.check_size(lens, picture, "camera")
         view = detect(picture, board, f"frame {len(seen) + 1}")
         if view is not None:
@@ -213,22 +186,21 @@ def _from_camera(args: argparse.Namespace, lens: Intrinsics, board: Board) -> _D
             shown = picture
         if len(seen) == LIVE_FRAMES:
             pixels = (sighting.pixels.tobytes() for sighting in seen)
-            return _Data(tuple(seen), shown, data_digest(pixels))
+            return _Data(tuple(seen), shown, raw_data(pixels))
     raise CalibrationError(
         f"the camera showed the board {board.name} in {len(seen)} of {LIVE_TRIES} frames, "
         f"{LIVE_FRAMES} are needed"
     )
 
 
-def _about(args: argparse.Namespace, data: _Data) -> Dict[str, Any]:
+def _about(args: argparse.Namespace) -> Dict[str, Any]:
     if args.point:
         return {"points_px_m": [list(point) for point in args.point]}
     places = [[1e3 * p.x_m, 1e3 * p.y_m, math.degrees(p.angle_rad)] for p in args.origin_mm]
     return {
-        "board": board_of(args).name,
+        "board": options.board_of(args).name,
         "square_mm": args.square_mm,
         "origin_mm_deg": places,
-        "pictures": [Path(seen.name).name for seen in data.sightings],
     }
 
 
@@ -241,9 +213,9 @@ def _lens_made(path: Path) -> Any:
 
 
 def _lines(result: table.TableResult) -> List[str]:
-    eye, sd = 1e3 * result.camera.table_from_cam[:3, 3], 1e3 * result.position_sd_m
+    eye, sd = 1e3 * result.camera.table_from_cam[:3, 3], 1e3 * result.sd_translation_m
     return [
-        f"{result.verdict.grade}: left-out points foretold to {result.leave_one_out_mm:.2f} mm, "
+        f"{result.verdict.grade}: left-out points foretold to {result.left_out_mm:.2f} mm, "
         f"the workspace's map moves by {result.workspace_mm:.2f} mm",
         f"RMS {result.rms_px:.3f} px over {len(result.residuals_px)} points; camera at "
         f"x {eye[0]:.1f} +- {sd[0]:.1f}  y {eye[1]:.1f} +- {sd[1]:.1f}  "

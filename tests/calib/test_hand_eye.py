@@ -329,9 +329,9 @@ def test_verb_writes_a_signed_file_and_a_picture_and_tells_all_as_json(tmp_path,
     assert told["n_used"] == told["n_pairs"] == 20
     document = documents.read(out, "apex-hand-eye", 1, CalibrationError)
     assert document["translation_m"] == told["translation_m"]
-    assert len(document["made"]["per_pose"]) == 20
+    assert len(document["made"]["poses"]) == 20
     assert document["made"]["data_sha256"]
-    assert cv2.imread(told["picture"]).shape == (700, 960, 3)
+    assert cv2.imread(told["picture"]).shape[1] == 960
     assert np.allclose(load_hand_eye(out)[:3, 3], told["translation_m"])
 
 

@@ -8,7 +8,6 @@ import json
 import time
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -17,15 +16,16 @@ from apex_edge.cameras.base import Camera
 from apex_edge.cameras.calibration import save_camera
 from apex_edge.cli import main
 from apex_edge.errors import CalibrationError, CameraError
-from apex_edge.geometry import camera_matrix
 from apex_edge.types import Frame, Intrinsics
 from calib import hand_eye_live, servo_live
+from calib.boards import parse_board
 from calib.hand_eye import solve
 from calib.hand_eye_checks import apart, motion_of
 from calib.hand_eye_file import load_hand_eye
 from calib.pose_pairs import read_pairs
 from calib.rigid import inverse, pose, turn_from_vector
 from calib.servo import solve as solve_servo
+from calib.simulated import BoardRenderer, Look, board_pose
 from calib.verbs import hand_eye as verb
 from calib.verbs import servo as servo_verb
 from firmware_bridge.errors import LinkLost, MotionRefused
@@ -34,14 +34,15 @@ from firmware_bridge.ready import ReadyArm
 from firmware_bridge.session import SessionState
 from firmware_bridge.simulator import PtyBoard, RrcFirmware
 
-BOARD, SQUARE_M = (9, 6), 0.010
+BOARD = parse_board("9x6", 0.010)
 AIM_M = np.array([0.2, 0.0, 0.0])
 # the camera sits above and behind the tip and looks along the hand (gripper x), a little down
 LOOKS = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 HAND = pose(
     LOOKS @ turn_from_vector(np.array([-0.22, -0.04, 0.03])), np.array([-0.045, 0.008, 0.035])
 )
-TARGET = pose(turn_from_vector(np.array([np.pi, 0.0, 0.0])), np.array([0.16, 0.025, 0.001]))
+# the board lies on the table with its middle about at the aim
+TARGET = pose(turn_from_vector(np.array([0.0, 0.0, -1.5])), np.array([0.155, 0.045, 0.001]))
 LENS = Intrinsics(640, 480, 520.0, 520.0, 319.5, 239.5, np.zeros(5))
 
 
@@ -91,20 +92,6 @@ def bench(arm):
     made.board.close()
 
 
-def texture():
-    """Return a board with a white rim, 8 px a mm, and the matrix from metres to its pixels."""
-    columns, rows = BOARD[0] + 1, BOARD[1] + 1
-    side = int(8000 * SQUARE_M)
-    squares = (np.indices((rows, columns)).sum(axis=0) % 2 * 255).astype(np.uint8)
-    board = np.kron(squares, np.ones((side, side), np.uint8))
-    board = cv2.copyMakeBorder(board, side, side, side, side, cv2.BORDER_CONSTANT, value=255)
-    # the origin is the first inner corner, two squares in
-    return board, np.array([[8000.0, 0, 2 * side - 0.5], [0, 8000.0, 2 * side - 0.5], [0, 0, 1]])
-
-
-TEXTURE, PIXELS_FROM_M = texture()
-
-
 class HandCamera(Camera):
     """Sits on the simulated gripper, where the servos really stand, and draws the board."""
 
@@ -114,6 +101,8 @@ class HandCamera(Camera):
         super().__init__()
         self._bench, self._arm, self._seq = bench, arm, 0
         self._rng = np.random.RandomState(0)
+        self._renderer = BoardRenderer(BOARD, LENS)
+        self._gripper = self._shown = None
 
     def open(self):
         pass
@@ -122,23 +111,15 @@ class HandCamera(Camera):
         pass
 
     def read(self, timeout_s):
-        self._bench.pass_time(1 / 30)
+        self._bench.pass_time(0.25)
         self._seq += 1
         gripper = self._arm.gripper_pose(self._bench.firmware.joints_rad)[0]
-        cam_from_target = inverse(gripper @ HAND) @ TARGET
-        return Frame(self._seq, self._bench.t_s, self._draw(cam_from_target), None, None, False)
+        if self._gripper is None or np.abs(gripper - self._gripper).max() > 1e-6:
+            self._gripper, self._shown = gripper, self._draw(inverse(gripper @ HAND) @ TARGET)
+        return Frame(self._seq, self._bench.t_s, self._shown, None, None, False)
 
     def _draw(self, cam_from_target):
-        flat = camera_matrix(LENS) @ cam_from_target[:3, [0, 1, 3]]
-        grey = np.full((480, 640), 130, np.uint8)
-        if cam_from_target[2, 3] > 0.05 and cam_from_target[2, 2] > 0.1:
-            twice = np.diag([2.0, 2.0, 1.0])
-            twice[:2, 2] = 0.5
-            way = twice @ flat @ np.linalg.inv(PIXELS_FROM_M)
-            large = cv2.warpPerspective(TEXTURE, way, (1280, 960), borderValue=130)
-            grey = cv2.resize(large, (640, 480), interpolation=cv2.INTER_AREA)
-        noisy = grey + self._rng.normal(0.0, 2.0, grey.shape)
-        return cv2.cvtColor(np.clip(noisy, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+        return self._renderer.render(cam_from_target, Look(), self._rng)
 
 
 def rounds(arm):
@@ -185,12 +166,12 @@ def test_poses_of_a_file_are_in_degrees(arm, tmp_path):
 
 
 def test_the_drawn_board_is_found_where_it_is(arm, bench):
-    detect = verb.chessboard(LENS, BOARD, SQUARE_M)
+    look = hand_eye_live.detector(LENS, BOARD)
     camera = HandCamera(bench, arm)
     worst_mm = worst_deg = n_seen = 0
     for q in rounds(arm):
         expected = inverse(arm.gripper_pose(q)[0] @ HAND) @ TARGET
-        seen = detect(cv2.cvtColor(camera._draw(expected)[:, :, 0], cv2.COLOR_GRAY2BGR))
+        seen = look(camera._draw(expected))
         if seen is not None:
             n_seen += 1
             mm, deg = apart(seen, expected)
@@ -200,11 +181,22 @@ def test_the_drawn_board_is_found_where_it_is(arm, bench):
     assert worst_deg < 2.0
 
 
+def test_a_charuco_board_is_found_and_a_symmetric_one_refused():
+    board = parse_board("charuco:7x5", 0.012)
+    expected = board_pose(board, np.array([0.01, 0.0, 0.2]), 25.0, 10.0, 170.0)
+    picture = BoardRenderer(board, LENS).render(expected, Look(), np.random.RandomState(0))
+    mm, deg = apart(hand_eye_live.detector(LENS, board)(picture), expected)
+    assert mm < 1.0
+    assert deg < 1.0
+    with pytest.raises(CalibrationError, match="same after half a turn"):
+        hand_eye_live.detector(LENS, parse_board("8x6", 0.01))
+
+
 def test_live_round_finds_the_true_camera_on_the_simulated_gripper(arm, bench):
     told = []
     with HandCamera(bench, arm) as camera, bench.ready(arm) as ready:
         pairs = hand_eye_live.collect(
-            ready, camera, verb.chessboard(LENS, BOARD, SQUARE_M), rounds(arm), told.append
+            ready, camera, hand_eye_live.detector(LENS, BOARD), rounds(arm), told.append
         )
     assert ready.session.state is SessionState.CLOSED
     assert len(told) == len(rounds(arm))
@@ -311,12 +303,13 @@ def desk(arm, bench, tmp_path, monkeypatch):
 
 
 def words(config, out, *more):
-    return ["calibrate", "hand-eye", "--config", str(config), "--out", str(out), "--json", *more]
+    given = ["--config", str(config), "--board", "9x6", "--square-mm", "10", "--out", str(out)]
+    return ["calibrate", "hand-eye", *given, "--json", *more]
 
 
 def test_verb_drives_the_arm_and_keeps_the_pairs_beside_the_result(desk, tmp_path, capsys):
     out = tmp_path / "handeye.json"
-    assert main(words(desk, out, "--square-mm", "10", "--yes")) == 0
+    assert main(words(desk, out, "--yes")) == 0
     captured = capsys.readouterr()
     told = json.loads(captured.out)
     assert "Ctrl-C stops the arm" in captured.err
@@ -330,7 +323,7 @@ def test_verb_drives_the_arm_and_keeps_the_pairs_beside_the_result(desk, tmp_pat
 @pytest.mark.parametrize("answer", ["no\n", "y\n", ""])
 def test_nothing_moves_without_a_plain_yes(desk, bench, tmp_path, monkeypatch, capsys, answer):
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
-    assert main(words(desk, tmp_path / "h.json", "--square-mm", "10")) == 2
+    assert main(words(desk, tmp_path / "h.json")) == 2
     assert "nothing was moved" in capsys.readouterr().err
     bench.pass_time(0.1)
     assert bench.firmware.n_frames == 0
@@ -341,14 +334,14 @@ def test_nothing_moves_without_a_plain_yes(desk, bench, tmp_path, monkeypatch, c
     "settings, reason",
     [
         ('[camera]\ntype = "hand"\n', "serial port of a real arm"),
-        ('[camera]\ntype = "hand"\n[arm]\nport = "/dev/ttyX"\n', "calibration must name"),
+        ('[camera]\ntype = "hand"\n[arm]\nport = "/dev/ttyX"\n', "calibration under [camera]"),
         ('[arm]\nprot = "/dev/ttyX"\n', "unknown key 'prot'"),
     ],
 )
 def test_settings_that_cannot_serve_are_refused(tmp_path, capsys, settings, reason):
     config = tmp_path / "apex.toml"
     config.write_text(settings)
-    assert main(words(config, tmp_path / "h.json", "--square-mm", "10", "--yes")) == 2
+    assert main(words(config, tmp_path / "h.json", "--yes")) == 2
     assert reason in capsys.readouterr().err
 
 

@@ -54,8 +54,8 @@ def test_k3_is_fitted_where_the_views_show_it():
     strong = default_lens(640, 480)
     strong.dist[:] = (-0.3, 0.15, 0.0, 0.0, -0.2)
     result = intrinsics.solve(good_views(n=24, lens=strong), SIZE, CHESS)
-    assert result.lens.dist[4] == pytest.approx(-0.2, abs=5 * result.dist_sd[4])
-    assert result.dist_sd[4] > 0.0
+    assert result.lens.dist[4] == pytest.approx(-0.2, abs=5 * result.sd_dist[4])
+    assert result.sd_dist[4] > 0.0
 
 
 def test_more_noise_gives_more_stated_uncertainty():
@@ -280,8 +280,17 @@ def test_verb_writes_a_lens_that_loads_and_a_picture(shots, tmp_path, capsys):
     assert document["camera"]["table_from_cam"] is None
     made = document["made"]
     assert [v["name"] for v in made["views"]] == [f"s{i:02d}.png" for i in range(16)]
-    where_from = {"date", "data_sha256", "versions", "board", "square_mm", "not_found", "rejected"}
-    how_well = {"verdict", "reasons", "coverage", "sd_px", "focal_jackknife_share"}
+    where_from = {
+        "date",
+        "data_sha256",
+        "files",
+        "versions",
+        "board",
+        "square_mm",
+        "not_found",
+        "rejected",
+    }
+    how_well = {"verdict", "reasons", "rejected", "coverage", "sd_px", "jackknife_focal_share"}
     assert where_from | how_well <= set(made)
     assert np.array(made["coverage"]).shape == (5, 5)
     assert cv2.imread(str(tmp_path / "camera.png")).shape[1] == 960

@@ -267,4 +267,4 @@ def test_verb_refuses_a_clock_that_goes_backwards_and_names_the_row(tmp_path, ca
 
 def test_verb_needs_both_series_or_a_camera(tmp_path, capsys):
     assert main(["calibrate", "latency", "--events", "e.csv", "--out", "o.json"]) == 2
-    assert "--events and --frames, or --config" in capsys.readouterr().err
+    assert "--events and --frames or a camera" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from apex_edge import documents
 from apex_edge.cli import main
 from apex_edge.errors import CalibrationError
 from calib.servo import ServoSamples, overall, read_samples, samples_text, solve
-from calib.servo_output import toml_lines
+from calib.servo_file import toml_lines
 from calib.verdict import PASS, REFUSE, WARN
 from firmware_bridge.kinematics import ArmModel
 

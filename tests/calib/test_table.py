@@ -60,7 +60,7 @@ def test_board_in_a_picture_gives_the_camera_within_the_stated_error():
     assert result.verdict.grade == PASS
     assert error_mm(result.camera, CAMERA) <= 2.0
     off_m = result.camera.table_from_cam[:3, 3] - CAMERA.table_from_cam[:3, 3]
-    assert np.all(np.abs(off_m) <= 5.0 * result.position_sd_m)
+    assert np.all(np.abs(off_m) <= 5.0 * result.sd_translation_m)
 
 
 def test_stated_uncertainty_is_honest():
@@ -69,8 +69,8 @@ def test_stated_uncertainty_is_honest():
         result = table.solve(LENS, [sighting(CAMERA, seed=seed)], THICK_M)
         shift = result.camera.table_from_cam[:3, 3] - CAMERA.table_from_cam[:3, 3]
         turn = CAMERA.table_from_cam[:3, :3].T @ result.camera.table_from_cam[:3, :3]
-        off.append([*(shift / result.position_sd_m),
-                    *(cv2.Rodrigues(turn)[0].ravel() / result.angle_sd_rad)])  # fmt: skip
+        off.append([*(shift / result.sd_translation_m),
+                    *(cv2.Rodrigues(turn)[0].ravel() / result.sd_rotation_rad)])  # fmt: skip
     # 120 normalised errors, correlated within a run
     assert 0.7 <= np.sqrt(np.mean(np.square(off))) <= 1.4
 
@@ -80,7 +80,7 @@ def test_two_boards_are_solved_together_and_know_more():
     both = [sighting(CAMERA, HERE), sighting(CAMERA, THERE, seed=1)]
     two = table.solve(LENS, both, THICK_M)
     assert two.verdict.grade == PASS
-    assert (two.position_sd_m < one.position_sd_m).all()
+    assert (two.sd_translation_m < one.sd_translation_m).all()
     assert error_mm(two.camera, CAMERA) <= 1.0
 
 
@@ -174,7 +174,7 @@ def test_four_points_by_hand_warn_that_nothing_checks_them():
     result = table.solve(LENS, [by_hand(CAMERA, HAND_M[:4])], 0.0)
     assert result.verdict.grade == WARN
     assert "leave none to check with" in result.verdict.reasons[0]
-    assert result.figures()["leave_one_out_mm"] is None
+    assert result.figures()["left_out_mm"] is None
     assert error_mm(result.camera, CAMERA) <= 0.1
 
 
@@ -248,7 +248,7 @@ def test_verb_writes_a_camera_that_replay_accepts(scene, tmp_path, capsys):
     assert verb.run(parsed(verb, *words(scene, out, *at_here(scene), "--json"))) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["verdict"] == "pass"
-    assert printed["leave_one_out_mm"] <= 2.0
+    assert printed["left_out_mm"] <= 2.0
     assert np.array(printed["homography_table_m_from_undistorted_px"]).shape == (3, 3)
     camera = load_camera(out)
     assert error_mm(camera, CAMERA) <= 2.0

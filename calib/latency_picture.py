@@ -1,52 +1,27 @@
-"""What a latency calibration leaves: a signed file, the line for the settings, a picture."""
+"""The picture of a latency calibration: signal and response, and how well each lag fits."""
 
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Tuple
 
 import numpy as np
 
-from apex_edge import documents
 from apex_edge.types import Array
 from calib import plot
 from calib.latency import LatencyResult
-
-FORMAT = "apex-latency"
-VERSION = 1
-
-
-def latency_document(
-    result: LatencyResult, includes: Sequence[str], made: Mapping[str, Any]
-) -> Dict[str, Any]:
-    """Return the document; ``includes`` names what else is in the figure, e.g. a display."""
-    content = {
-        "latency_s": round(max(result.latency_s, 0.0), 6),
-        "sd_s": result.sd_s,
-        "includes": list(includes),
-    }
-    return documents.compose(FORMAT, VERSION, content, made)
-
-
-def settings_lines(result: LatencyResult) -> List[str]:
-    """Return the lines for the settings file."""
-    return ["[camera]", f"latency_s = {max(result.latency_s, 0.0):.4f}"]
 
 
 def draw(
     result: LatencyResult, signal: Tuple[Array, Array], response: Tuple[Array, Array]
 ) -> Array:
     """Return a picture: the first seconds of signal and response, and how well each lag fits."""
-    title = (
-        f"latency: {result.verdict.grade}, {1e3 * result.latency_s:.1f} ms +- "
-        f"{1e3 * result.sd_s:.1f} (sd), explains {result.explained:.0%}"
-    )
-    picture = plot.sheet(960, 560, title)
+    picture = plot.sheet(520)
     start_s = max(signal[0][0], response[0][0])
     window = (0.0, min(8.0, response[0][-1] - start_s))
     chart = plot.Chart(
         picture,
-        (60, 60, 880, 200),
+        (60, 34, 880, 190),
         window,
         (-0.1, 1.1),
-        "blue: signal, moved by the latency; orange: what the frames show; both scaled, over s",
+        "the first seconds: signal and response over time (s)",
     )
     chart.line(*_shown(signal, result.latency_s - start_s, window), plot.BLUE)
     times, values = _shown(response, -start_s, window, is_held=False)
@@ -54,14 +29,19 @@ def draw(
     lags = 1e3 * result.curve[:, 0]
     chart = plot.Chart(
         picture,
-        (60, 320, 880, 200),
+        (60, 294, 880, 190),
         (float(lags[0]), float(lags[-1])),
         (0.0, 1.05),
-        "share of the response explained, over the lag in ms",
+        "share of the response explained, over the lag (ms)",
     )
     chart.line(lags, result.curve[:, 1], plot.GREEN)
     chart.dots([1e3 * result.latency_s], [result.explained], plot.RED)
-    return picture
+    headline = (
+        f"{1e3 * result.latency_s:.1f} ms +- {1e3 * result.sd_s:.1f} (sd), explains "
+        f"{result.explained:.0%} of what {result.n_frames} frames show"
+    )
+    facts = ["blue: signal, moved by the latency; orange: what the frames show; both scaled"]
+    return plot.with_panel(picture, result.verdict, headline, facts)
 
 
 def _shown(

@@ -1,4 +1,4 @@
-"""What a servo calibration leaves: a signed file, lines for the arm's data file, a picture."""
+"""Servo files: the map of each servo, and the lines for the arm's data file."""
 
 from typing import Any, Dict, List, Mapping, Sequence
 
@@ -6,8 +6,7 @@ import numpy as np
 
 from apex_edge import documents
 from apex_edge.types import Array
-from calib import plot
-from calib.servo import GOOD_DEG, ServoFit, ServoSamples
+from calib.servo import ServoFit
 from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US, ArmModel
 
 FORMAT = "apex-servo"
@@ -68,28 +67,3 @@ def _limit_lines(fit: ServoFit, limits_rad: Array) -> List[str]:
             inside = np.trunc(after * 1e4) / 1e4
             lines.append(f"{name} = {inside:.4f}  # was {before:.4f}, which no pulse reaches")
     return lines
-
-
-def draw(samples: ServoSamples, fits: Sequence[ServoFit]) -> Array:
-    """Return a picture: angle over pulse, and what is left of it, one row of charts a servo."""
-    height = 250
-    picture = plot.sheet(960, 50 + height * len(fits), "servo: blue up, orange down")
-    for index, fit in enumerate(fits):
-        own = samples.pick(samples.servo_id == fit.servo_id)
-        left = own.angle_deg - np.degrees((own.pulse_us - fit.zero_us) / fit.us_per_rad)
-        top = 70 + height * index
-        pulses, reach = plot.span(own.pulse_us), max(1.2 * float(np.abs(left).max()), GOOD_DEG)
-        title = f"servo {fit.servo_id}: {fit.verdict}; angle (deg) over pulse (us)"
-        line = plot.Chart(picture, (60, top, 400, 180), pulses, plot.span(own.angle_deg), title)
-        ends = np.array(pulses)
-        line.line(ends, np.degrees((ends - fit.zero_us) / fit.us_per_rad), plot.GREEN)
-        title = f"off the line (deg), backlash {fit.backlash_deg:.2f} deg"
-        rest = plot.Chart(picture, (530, top, 400, 180), pulses, (-reach, reach), title)
-        for way, colour in ((own.is_up, plot.BLUE), (~own.is_up, plot.ORANGE)):
-            line.dots(own.pulse_us[way], own.angle_deg[way], colour)
-            rest.dots(own.pulse_us[way], left[way], colour)
-        for sign in (-1.0, 1.0):
-            rest.level(
-                0.5 * sign * fit.backlash_deg if np.isfinite(fit.backlash_deg) else 0.0, plot.GREEN
-            )
-    return picture
