@@ -5,6 +5,7 @@ at full resolution inside a window. Outlines are traced, not labelled: OpenCV's 
 statistics cost 28 us for a window of 64 px where tracing takes 5 (measured).
 """
 
+import operator
 from dataclasses import dataclass
 from typing import List, NamedTuple, Optional, Sequence, Tuple
 
@@ -174,7 +175,9 @@ def _trace(mask: Array) -> List[_Piece]:
         # Pick's theorem: pixels inside and on a lattice polygon
         area = cv2.contourArea(contour) + 0.5 * len(contour) + 1.0
         pieces.append(_Piece(contour, area, (x, y, x + w, y + h)))
-    return sorted(pieces, key=lambda piece: (-piece.area, piece.box))
+    if len(pieces) > 1:
+        pieces.sort(key=lambda piece: (-piece.area, piece.box))
+    return pieces
 
 
 def _groups(pieces: Sequence[_Piece], min_area: float) -> List[List[_Piece]]:
@@ -222,15 +225,18 @@ def _measure(solid: Array, group: Sequence[_Piece], view: _View) -> Optional[Blo
     moments = cv2.moments(cv2.max(weight, _erode(filled)))
     mass = max(moments["m00"], 1.0)
     left, top, right, bottom = view.window
-    at_edge = (box[0] <= 0, box[1] <= 0, box[2] >= width, box[3] >= height)
-    at_border = (left <= 0, top <= 0, right >= view.shape[1], bottom >= view.shape[0])
+    n_rows, n_columns = view.shape
+    is_cut = (box[0] <= 0, box[1] <= 0, box[2] >= width, box[3] >= height)
+    is_border = (left <= 0, top <= 0, right >= n_columns, bottom >= n_rows)
+    n_cut = sum(is_cut)
+    n_at_border = sum(map(operator.and_, is_cut, is_border)) if n_cut else 0
     return Blob(
         label=view.label,
         centre_px=(left + x0 + moments["m10"] / mass, top + y0 + moments["m01"] / mass),
         area_px2=mass / 255.0,
         box_px=(left + box[0], top + box[1], box[2] - box[0], box[3] - box[1]),
-        touches_border=any(e and b for e, b in zip(at_edge, at_border)),
-        is_clipped=any(e and not b for e, b in zip(at_edge, at_border)),
+        touches_border=n_at_border > 0,
+        is_clipped=n_cut > n_at_border,
         body=body,
         origin_px=(left + x0, top + y0),
         spread_px2=(moments["mu20"] / mass, moments["mu11"] / mass, moments["mu02"] / mass),

@@ -24,7 +24,7 @@ class PerceptionConfig:
     )
     search_width_px: int = setting(320, "width at which the whole picture is searched", 80, 4096)
     search_every: int = setting(3, "search the whole picture every k-th frame", 1, 1000)
-    window_margin_px: int = setting(8, "margin around a predicted box, px", 2, 500)
+    window_margin_px: int = setting(6, "margin around a predicted box, px", 2, 500)
     noise_px: float = setting(0.5, "centroid noise, px", 0.01, 20.0)
     bias_m: float = setting(0.0012, "systematic position error with depth, m", 0.0, 0.1)
     plane_bias_m: float = setting(0.006, "systematic position error without depth, m", 0.0, 0.5)
