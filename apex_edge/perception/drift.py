@@ -7,12 +7,12 @@ calibrate again. Costs about 0.1 ms per look at two objects, one frame in 15. So
 
 import logging
 import math
-from typing import Dict, Sequence
+from typing import Dict
 
 import numpy as np
 
+from apex_edge.perception.colour import ColourTable
 from apex_edge.perception.colour_model import ColourModel, distance2, features
-from apex_edge.perception.regions import Region
 from apex_edge.types import Array, Detections
 
 LOG = logging.getLogger(__name__)
@@ -20,6 +20,7 @@ LOG = logging.getLogger(__name__)
 EVERY = 15
 LIMIT = 0.6  # of the way from the middle of the colour to the edge of what is accepted
 _SHARE = 0.2  # weight of the newest look
+_UNCOVERED = 0.5  # of the pixels looked at; else a hand or a highlight is in front
 _N_SURE = 5  # looks before anything is said
 
 
@@ -29,9 +30,10 @@ class DriftWatch:
     A range imported from elsewhere has no middle that an object once had, so it is not watched.
     """
 
-    def __init__(self, regions: Sequence[Region]) -> None:
-        """Watch the taught colours among ``regions``."""
-        self._models = {r.name: r for r in regions if isinstance(r, ColourModel)}
+    def __init__(self, table: ColourTable) -> None:
+        """Watch the taught colours of a table."""
+        self._table = table
+        self._models = {r.name: r for r in table.models if isinstance(r, ColourModel)}
         self._used: Dict[str, float] = {}
         self._n_looks: Dict[str, int] = {}
         self._n_frames = 0
@@ -64,7 +66,9 @@ class DriftWatch:
             )
 
     def _look(self, name: str, pixels: Array) -> None:
-        model = self._models[name]
+        model, label = self._models[name], self._table.names.index(name) + 1
+        if np.mean(self._table.classify(pixels[None]) == label) < _UNCOVERED:
+            return
         point = np.median(features(pixels), axis=0)[None]
         # brightness is no question of white balance
         point[0, 2] = model.log_luma
@@ -80,5 +84,5 @@ def _inside(bgr: Array, box_px: Array) -> Array:
     """Return some pixels (n, 3) from the middle half of a box, clear of its rim."""
     x, y, w, h = (int(value) for value in box_px)
     inner = bgr[y + h // 4 : y + h - h // 4, x + w // 4 : x + w - w // 4].reshape(-1, 3)
-    result: Array = inner[:: max(1, len(inner) // 64)]
+    result: Array = np.ascontiguousarray(inner[:: max(1, len(inner) // 64)])
     return result

@@ -48,7 +48,7 @@ _FORGET = 10  # samples that a plain line explains, and the remembered accelerat
 # straighter than that more often than not.
 _UNNOTICED = 16.0
 _LEAST_STEP_S = 1e-6  # between two sightings; no camera is faster
-_CHANGE_S = 1.5  # mean time between changes of motion on a table
+_CHANGE_S = 2.0  # mean time between changes of motion on a table
 # Innovations are held against what was predicted of them, and the covariance grows with their mean
 # square, capped so that an outlier or a bounce counts as little more than a poor sighting.
 _N_DISTRUST, _DISTRUST_PRIOR = 20, 4
@@ -254,8 +254,11 @@ class MotionEstimator(Estimator):
         self._noise.append(median(np.abs(miss).tolist()) / scale)
         if len(self._noise) >= _MIN_NOISE:
             # a bounce spoils three of them: while they are few the stated noise has a say
-            stated = [0.6745 * sample.sd] * max(0, 2 * _MIN_NOISE - len(self._noise))
-            self._shown_sd = median([*self._noise, *stated]) / 0.6745
+            n_stated = max(0, 2 * _MIN_NOISE - len(self._noise))
+            shown2 = (median(self._noise) / 0.6745) ** 2 * len(self._noise)
+            self._shown_sd = math.sqrt(
+                (shown2 + n_stated * sample.sd**2) / (len(self._noise) + n_stated)
+            )
 
     def _note_innovation(self, sample: Sample) -> None:
         """Hold a new sighting against what was predicted of it."""

@@ -39,7 +39,7 @@ class Perception:
         self._colours = colours
         self._tracker = Tracker(config)
         self._sizes = SizeMemory(config.min_relative_area)
-        self.drift = DriftWatch(colours.models)
+        self.drift = DriftWatch(colours)
         self._last_t_s = -math.inf
         self._n_until_search = 0
 

@@ -39,11 +39,15 @@ MAX_LAG = 20
 BOUNCE_S = 0.12
 CLASSES = CALM, CHANGING, HELD = "calm", "changing", "by a hand"
 FIELDS = {
-    "nis_px": "NIS in pixels",
     "nis_m": "NIS in metres",
+    "nis_px": "NIS in pixels",
     "nees_pos": "NEES of position",
     "nees_vel": "NEES of velocity",
 }
+PROMISED = ("nis_m",)
+"""The agent acts on metres. In pixels the twin is known to 0.01 px at rest, less than is ever
+stated; NEES holds biases that no sighting shows: where the colour sits on an object, what a hand
+covers."""
 _WIDE_95 = {1: 3.841, 2: 5.991, 3: 7.815}
 
 
@@ -242,14 +246,17 @@ def measure_twin(
                 progress.advance()
     lines: List[Line] = []
     for field, what in FIELDS.items():
-        lines += _field_lines(what, [(kind, getattr(run, field)) for kind, run in runs])
+        found = [(kind, getattr(run, field)) for kind, run in runs]
+        lines += _field_lines(what, found, field in PROMISED)
     return lines
 
 
-def _field_lines(what: str, runs: Sequence[Tuple[str, Dict[str, List[Errors]]]]) -> List[Line]:
-    """Return the calm line, which is promised, then changing and held, then each kind of scene."""
+def _field_lines(
+    what: str, runs: Sequence[Tuple[str, Dict[str, List[Errors]]]], is_promised: bool
+) -> List[Line]:
+    """Return the calm line, then changing and held, then each kind of scene."""
     pooled = {name: [e for _, run in runs for e in run.get(name, [])] for name in CLASSES}
-    lines = [_line(f"twin: {what}, {CALM}", consistency(pooled[CALM]), is_promised=True)]
+    lines = [_line(f"twin: {what}, {CALM}", consistency(pooled[CALM]), is_promised)]
     for name in (CHANGING, HELD):
         lines.append(_line(f"  {name}", consistency(pooled[name]), is_promised=False))
     for kind in KINDS:
