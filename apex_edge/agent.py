@@ -44,10 +44,8 @@ log = logging.getLogger(__name__)
 
 STALE_S = 0.25
 """Without a frame for this long the arm holds: what it was told to do rests on an old picture."""
-MAX_AGE_S = 0.5
-"""No move is started on a picture older than this."""
-SWITCH_S = 0.2
-"""Another hazard must be this much more urgent to be followed instead of the open one."""
+MAX_AGE_S = 0.5  # no move is started on a picture older than this
+SWITCH_S = 0.2  # by which another hazard must be more urgent to be followed instead of the open one
 MOVING_M_S = 0.02
 MOVES = ("intervene", "redirect", "return")
 
