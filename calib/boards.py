@@ -167,7 +167,8 @@ def charuco_board(board: Board, is_legacy: bool = False) -> "cv2.aruco.CharucoBo
         board.marker_m,
         load_dictionary(board.dictionary),
     )
-    made.setLegacyPattern(is_legacy)
+    if hasattr(made, "setLegacyPattern"):  # OpenCV 4.7.0 has not
+        made.setLegacyPattern(is_legacy)
     return made
 
 
