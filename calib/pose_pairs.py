@@ -18,7 +18,6 @@ from calib.rigid import pose, quaternion_from_turn, turn_from_quaternion
 
 _PARTS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 COLUMNS = tuple(f"{side}_{part}" for side in ("gripper", "target") for part in _PARTS)
-MAX_POSES = 500
 # No arm on a table reaches 10 m; millimetres taken for metres always do.
 MAX_PLACE_M = 10.0
 _UNIT_TOLERANCE = 0.01
