@@ -33,6 +33,7 @@ test: test-default test-37 ## run all tests; the device packages once more on CP
 
 test-default:
 	@"$(PYTHON)" $(SETUP) $(VENV) --extras test --optional train
+	@$(RUN) scripts/setup_peers.py
 	$(RUN) -m pytest $(ARGS)
 
 # Offline training needs newer Pythons; everything that runs on the arm's computer runs here again.
@@ -40,6 +41,7 @@ test-37:
 	@python37="$$("$(PYTHON)" scripts/find_python37.py)" || python37=; \
 	if [ -n "$$python37" ]; then \
 	  set -ex; "$$python37" $(SETUP) $(VENV37) --extras test,lint; \
+	  $(RUN37) scripts/setup_peers.py; \
 	  $(RUN37) -m pytest --ignore=tests/offline_train $(ARGS); \
 	elif [ "$${CI:-}" = true ]; then \
 	  echo "FAILED: $(NO_37)" >&2; exit 1; \

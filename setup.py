@@ -53,6 +53,8 @@ setup(
         # better from apt, beside the libcamera that it must fit: python3-picamera2
         "picamera": ['picamera2>=0.3.20; python_version >= "3.9"'],
         "hiwonder": ["pyyaml>=5.3"],
+        # the I2C board of the Raspberry Pi 4 ArmPi mini
+        "i2c": ["smbus2>=0.4"],
         "test": ["pytest>=7", "hypothesis>=6.79", "pytest-timeout>=2.1", "pyyaml>=5.3"],
         "lint": [
             # 1.4.1 is the last mypy that checks for 3.7; it runs in the 3.7 environment
@@ -74,6 +76,8 @@ setup(
             "calibrate = calib.verb",
             "train = offline_train.verb",
             "bench = offline_train.benchmarks.verb",
+            "arm = firmware_bridge.verb",
+            "sim-arm = firmware_bridge.simulator.verb",
         ],
         "apex_edge.cameras": [
             "twin = apex_edge.cameras.twin:TwinCamera",
@@ -113,6 +117,10 @@ setup(
             "perception = offline_train.benchmarks.perception",
             "rollout = offline_train.benchmarks.rollout",
             "hand-eye = offline_train.benchmarks.hand_eye",
+            "firmware = offline_train.benchmarks.firmware.verb",
+        ],
+        "apex_edge.arm_actions": [
+            "ports = firmware_bridge.verbs.ports",
         ],
     },
 )

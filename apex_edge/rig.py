@@ -9,7 +9,7 @@ from typing import Callable
 from apex_edge.types import Array
 from firmware_bridge.errors import LinkLost
 from firmware_bridge.kinematics import ArmModel
-from firmware_bridge.link import SerialLink
+from firmware_bridge.links.serial_link import SerialLink
 from firmware_bridge.session import ArmSession
 from firmware_bridge.simulator import PtyBoard, RrcFirmware
 

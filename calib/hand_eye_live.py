@@ -140,7 +140,7 @@ def collect(
         )
         if seen is not None:
             # what the servos were told: whole pulses, not the wish
-            told = arm.angles_rad(arm.pulses_us(ready.session.read().joints_rad))
+            told = arm.angles_rad(arm.ticks(ready.session.read().joints_rad))
             gripper.append(arm.gripper_pose(told)[0])
             target.append(seen)
     ready.go(arm.home_rad, RATE_SHARE)

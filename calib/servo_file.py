@@ -46,9 +46,9 @@ def toml_lines(fits: Sequence[ServoFit], arm: ArmModel) -> List[str]:
         lines += [f"[joints.{joint}]" if joint else "# no joint of the arm has this servo"]
         lines += [
             f"servo_id = {fit.servo_id}",
-            f"zero_us = {fit.zero_us:.1f}",
-            f"us_per_rad = {fit.us_per_rad:.1f}",
-            "offset_us = 0.0",
+            f"zero_ticks = {fit.zero_us:.1f}",
+            f"ticks_per_rad = {fit.us_per_rad:.1f}",
+            "offset_ticks = 0.0",
         ]
         if joint:
             lines += _limit_lines(fit, arm.limits_rad[arm.servo_ids.index(fit.servo_id)])

@@ -36,7 +36,7 @@ def poses_for(arm: ArmModel, joint: str) -> Array:
     edge = _EDGE * (high - low)
     poses = np.tile(arm.home_rad, (_N_ANGLES, 1))
     poses[:, at] = np.linspace(low + edge, high - edge, _N_ANGLES)
-    if arm.us_per_rad[at] < 0.0:
+    if arm.ticks_per_rad[at] < 0.0:
         poses = poses[::-1]
     free = np.array([may_go(arm, arm.home_rad, pose, ROOM) for pose in poses])
     if free.sum() < 5:
@@ -63,7 +63,7 @@ def collect(ready: ReadyArm, joint: str, poses: Array, ask: Ask) -> ServoSamples
     for order, is_up in ((poses[1:], True), (poses[-2::-1], False)):
         for pose in order:
             ready.go(pose, RATE_SHARE)
-            pulse_us = int(arm.pulses_us(ready.session.read().joints_rad)[at])
+            pulse_us = int(arm.ticks(ready.session.read().joints_rad)[at])
             wanted = np.degrees(pose[at])
             angle = ask(f"{joint}: meant to stand at {wanted:.0f} deg; protractor reads: ")
             if angle is not None:

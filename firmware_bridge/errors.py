@@ -10,6 +10,8 @@
     |   +-- PortBusy      another program holds the port
     +-- MotionRefused     a path outside the limits; nothing was sent
     +-- NotArmed          the session is not in a state that may do this
+    +-- NoReply           a servo or board that did not answer within its retry budget
+    +-- HandshakeFailed   the servos on the bus are not those of the arm's file
 """
 
 from apex_edge.errors import ArmError
@@ -55,3 +57,15 @@ class NotArmed(ArmError):  # noqa: N818 - says what happened
     """Refuse an action that the session's state does not allow."""
 
     slug = "arm-not-armed"
+
+
+class NoReply(ArmError):  # noqa: N818 - says what happened
+    """Report a servo or board that did not answer within its retry budget."""
+
+    slug = "arm-no-reply"
+
+
+class HandshakeFailed(ArmError):  # noqa: N818 - says what happened
+    """Refuse to arm: the servos on the bus are not those of the arm's file and calibration."""
+
+    slug = "arm-handshake"

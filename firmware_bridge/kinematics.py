@@ -62,16 +62,16 @@ class Gripper:
     """The gripper's servo; it stays closed while the arm acts as a barrier."""
 
     servo_id: int = setting(1, "servo id", 1, 253)
-    open_us: int = setting(1900, "pulse when open", PULSE_MIN_US, PULSE_MAX_US)
-    closed_us: int = setting(1500, "pulse when closed", PULSE_MIN_US, PULSE_MAX_US)
+    open_ticks: int = setting(1900, "pulse when open", PULSE_MIN_US, PULSE_MAX_US)
+    closed_ticks: int = setting(1500, "pulse when closed", PULSE_MIN_US, PULSE_MAX_US)
 
 
 @dataclass(frozen=True)
 class _Joint:
     servo_id: int = setting(0, "servo id", 1, 253)
-    zero_us: float = setting(1500.0, "pulse at angle 0", 0.0, 4000.0)
-    us_per_rad: float = setting(0.0, "pulse per radian, sign included", -2000.0, 2000.0)
-    offset_us: float = setting(0.0, "deviation found by calibration", -300.0, 300.0)
+    zero_ticks: float = setting(1500.0, "pulse at angle 0", 0.0, 4000.0)
+    ticks_per_rad: float = setting(0.0, "pulse per radian, sign included", -2000.0, 2000.0)
+    offset_ticks: float = setting(0.0, "deviation found by calibration", -300.0, 300.0)
     low_rad: float = setting(0.0, "lower limit", -7.0, 7.0)
     high_rad: float = setting(0.0, "upper limit", -7.0, 7.0)
     rate_rad_s: float = setting(3.0, "highest speed", 0.01, 50.0)
@@ -91,8 +91,8 @@ class ArmModel:
     gripper: Gripper
     joint_names: Tuple[str, ...]
     servo_ids: Tuple[int, ...]
-    zero_us: Array
-    us_per_rad: Array
+    zero_ticks: Array
+    ticks_per_rad: Array
     limits_rad: Array
     rate_rad_s: Array
     home_rad: Array
@@ -211,16 +211,16 @@ class ArmModel:
         result: Array = (step / self.rate_rad_s).max(axis=1)
         return result
 
-    def pulses_us(self, q_rad: Array) -> Array:
+    def ticks(self, q_rad: Array) -> Array:
         """Return whole servo pulses (..., k) in microseconds, kept within 500..2500."""
-        pulse = np.rint(self.zero_us + self.us_per_rad * np.asarray(q_rad, dtype=np.float64))
+        pulse = np.rint(self.zero_ticks + self.ticks_per_rad * np.asarray(q_rad, dtype=np.float64))
         whole: Array = np.clip(pulse, PULSE_MIN_US, PULSE_MAX_US).astype(np.int64)
         return whole
 
     def angles_rad(self, pulses_us: Array) -> Array:
         """Return joint angles (..., k) for servo pulses in microseconds."""
         pulses = np.asarray(pulses_us, dtype=np.float64)
-        result: Array = (pulses - self.zero_us) / self.us_per_rad
+        result: Array = (pulses - self.zero_ticks) / self.ticks_per_rad
         return result
 
 
@@ -255,8 +255,8 @@ def _build(data: Mapping[str, Any], where: str) -> ArmModel:
         "gripper": _section(Gripper, sections["gripper"], f"{where} [gripper]"),
         "joint_names": JOINT_NAMES,
         "servo_ids": tuple(j.servo_id for j in joints),
-        "zero_us": np.array([j.zero_us + j.offset_us for j in joints]),
-        "us_per_rad": np.array([j.us_per_rad for j in joints]),
+        "zero_ticks": np.array([j.zero_ticks + j.offset_ticks for j in joints]),
+        "ticks_per_rad": np.array([j.ticks_per_rad for j in joints]),
         "limits_rad": np.array([[j.low_rad, j.high_rad] for j in joints]),
         "rate_rad_s": np.array([j.rate_rad_s for j in joints]),
         "tip_radius_m": head.tip_radius_m,
@@ -275,7 +275,7 @@ def _section(kind: Any, values: Any, where: str) -> Any:
     if not isinstance(values, Mapping):
         raise ConfigError(f"{where} must be a table, found {values!r}")
     for key in kind.__dataclass_fields__:
-        if key not in values and key != "offset_us":
+        if key not in values and key != "offset_ticks":
             raise ConfigError(f"{where}: key {key!r} is missing")
     return structure(kind, values, where)
 
@@ -285,12 +285,12 @@ def _check(fields: Mapping[str, Any], where: str) -> None:
     if len(set(ids)) != len(ids):
         raise ConfigError(f"{where}: two servos share an id: {ids}")
     limits = fields["limits_rad"]
-    pulses = fields["zero_us"] + fields["us_per_rad"] * limits.T
+    pulses = fields["zero_ticks"] + fields["ticks_per_rad"] * limits.T
     for j, name in enumerate(JOINT_NAMES):
         if not limits[j, 0] < limits[j, 1]:
             raise ConfigError(f"{where} [joints.{name}]: low_rad must be below high_rad")
-        if fields["us_per_rad"][j] == 0.0:
-            raise ConfigError(f"{where} [joints.{name}]: us_per_rad must not be 0")
+        if fields["ticks_per_rad"][j] == 0.0:
+            raise ConfigError(f"{where} [joints.{name}]: ticks_per_rad must not be 0")
         ends = np.rint(pulses[:, j])
         if ends.min() < PULSE_MIN_US or ends.max() > PULSE_MAX_US:
             raise ConfigError(

@@ -11,7 +11,7 @@ from apex_edge.errors import ArmError
 from apex_edge.types import Array
 from firmware_bridge.errors import MotionRefused
 from firmware_bridge.kinematics import ArmModel
-from firmware_bridge.link import SerialLink
+from firmware_bridge.links.serial_link import SerialLink
 from firmware_bridge.session import ArmSession, SessionState
 
 ARMING_S = 6.0

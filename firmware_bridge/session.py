@@ -20,7 +20,7 @@ from firmware_bridge.codec import rrc
 from firmware_bridge.errors import LinkLost, MotionRefused, NotArmed, ProtocolError
 from firmware_bridge.guard import CheckedPath, Limits, check_path
 from firmware_bridge.kinematics import ArmModel
-from firmware_bridge.link import SerialLink
+from firmware_bridge.links.serial_link import SerialLink
 
 _LOG = logging.getLogger(__name__)
 
@@ -305,7 +305,7 @@ class ArmSession:
                 self._arming_until_s = None
             return
         home = self.model.home_rad
-        if np.abs(self.model.pulses_us(home) - board_us).max() <= 1:
+        if np.abs(self.model.ticks(home) - board_us).max() <= 1:
             self._finish_arming(home)
             return
         low, high = self.model.limits_rad[:, 0], self.model.limits_rad[:, 1]
@@ -335,9 +335,9 @@ class ArmSession:
 
     def _send_pose(self, pose: Array, duration_s: float, is_goal: bool = True) -> None:
         """Send one set-point for all joints and the closed gripper; ``is_goal``: it stays there."""
-        pulses = self.model.pulses_us(pose)
+        pulses = self.model.ticks(pose)
         targets = [(i, int(p)) for i, p in zip(self.model.servo_ids, pulses)]
-        targets.append((self.model.gripper.servo_id, self.model.gripper.closed_us))
+        targets.append((self.model.gripper.servo_id, self.model.gripper.closed_ticks))
         self._send(rrc.PwmMove(max(1, math.ceil(duration_s * 1000.0 - 1e-6)), tuple(targets)))
         if is_goal:
             self._pose = np.array(pose, dtype=np.float64)

@@ -347,7 +347,7 @@ def check_trigger(config: Any) -> Check:
 def check_arm(config: Any) -> List[Check]:
     """Check that the arm's data can be read and that its port is there."""
     from firmware_bridge.kinematics import ArmModel
-    from firmware_bridge.link import ports
+    from firmware_bridge.links.serial_link import ports
 
     try:
         checks = [Check("arm", OK, ArmModel.load(config.type).name)]

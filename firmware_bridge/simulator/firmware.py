@@ -39,12 +39,12 @@ class RrcFirmware:
         self.n_clamped = 0
         self.t_s = 0.0
         pose = arm.home_rad if at_rad is None else np.asarray(at_rad, dtype=np.float64)
-        self._actual_us = np.append(arm.pulses_us(pose), arm.gripper.closed_us).astype(np.float64)
+        self._actual_us = np.append(arm.ticks(pose), arm.gripper.closed_ticks).astype(np.float64)
         self._start_us = self._actual_us.copy()
         self._target_us = self._actual_us.copy()
         self._duration_s = np.zeros(len(self._ids))
         self._elapsed_s = np.zeros(len(self._ids))
-        gain = np.append(np.abs(arm.us_per_rad), np.abs(arm.us_per_rad).max())
+        gain = np.append(np.abs(arm.ticks_per_rad), np.abs(arm.ticks_per_rad).max())
         self._rate_us_s = gain * np.append(arm.rate_rad_s, arm.rate_rad_s.max())
 
     @property

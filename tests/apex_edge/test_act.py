@@ -5,7 +5,7 @@ from apex_edge.act import ActConfig, Actuator
 from apex_edge.types import ArmState, Candidates, Decision
 from firmware_bridge.guard import check_path
 from firmware_bridge.kinematics import ArmModel
-from firmware_bridge.link import SerialLink
+from firmware_bridge.links.serial_link import SerialLink
 from firmware_bridge.session import ArmSession, SessionState
 from firmware_bridge.simulator import PtyBoard, RrcFirmware
 

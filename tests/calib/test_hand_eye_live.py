@@ -214,7 +214,7 @@ def test_poses_at_which_nothing_is_seen_are_left_out(arm, bench):
     with HandCamera(bench, arm) as camera, bench.ready(arm) as ready:
         pairs = hand_eye_live.collect(ready, camera, lambda _: next(seen), poses, lambda _: None)
     assert len(pairs) == 3
-    told = arm.angles_rad(arm.pulses_us(poses[[0, 2, 5]]))
+    told = arm.angles_rad(arm.ticks(poses[[0, 2, 5]]))
     assert np.allclose(pairs.base_from_gripper, arm.gripper_pose(told))
 
 

@@ -171,7 +171,7 @@ def test_lines_for_the_arm_file_make_an_arm_that_loads(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(f"{head}[joints.yaw]\n{section}\n[joints.shoulder]{rest}")
     mine = ArmModel.load(path)
-    assert mine.us_per_rad[0] == pytest.approx(US_PER_RAD, abs=3.0)
+    assert mine.ticks_per_rad[0] == pytest.approx(US_PER_RAD, abs=3.0)
 
 
 def test_file_survives_writing_and_reading(tmp_path):

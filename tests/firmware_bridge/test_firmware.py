@@ -11,7 +11,7 @@ def firmware(arm):
 
 
 def move_bytes(arm, q, duration_ms):
-    pulses = arm.pulses_us(q)
+    pulses = arm.ticks(q)
     return rrc.encode(
         rrc.PwmMove(duration_ms, tuple((i, int(p)) for i, p in zip(arm.servo_ids, pulses)))
     )
@@ -101,7 +101,7 @@ def test_a_position_request_is_answered_with_the_last_command(arm, firmware):
     firmware.feed(move_bytes(arm, arm.home_rad + [0.5, 0, 0, 0], 5000))
     run(firmware, 0.1)
     firmware.feed(rrc.encode(rrc.PwmPositionRequest(6)))
-    expected = rrc.PwmPosition(6, int(arm.pulses_us(arm.home_rad + [0.5, 0, 0, 0])[0]))
+    expected = rrc.PwmPosition(6, int(arm.ticks(arm.home_rad + [0.5, 0, 0, 0])[0]))
     assert firmware.replies() == rrc.encode(expected)
     assert firmware.replies() == b""
 
@@ -112,9 +112,9 @@ def test_the_battery_is_reported_once_a_second(firmware):
 
 
 def test_the_gripper_moves_by_its_own_servo(arm, firmware):
-    firmware.feed(rrc.encode(rrc.PwmMoveOne(100, arm.gripper.servo_id, arm.gripper.open_us)))
+    firmware.feed(rrc.encode(rrc.PwmMoveOne(100, arm.gripper.servo_id, arm.gripper.open_ticks)))
     run(firmware, 0.5)
-    assert firmware.gripper_us == pytest.approx(arm.gripper.open_us, abs=1.0)
+    assert firmware.gripper_us == pytest.approx(arm.gripper.open_ticks, abs=1.0)
 
 
 def test_an_unplugged_board_pumps_nothing_and_closes_twice(firmware):

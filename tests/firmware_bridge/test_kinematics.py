@@ -37,7 +37,7 @@ def test_pulses_follow_the_published_servo_map(arm):
         [500 + th6 * 11.11, 1500 + (90 - th5) * 11.11, 1500 + th4 * 11.11, 1500 + th3 * 11.11], 1
     )
     # 0.5 us of rounding, 0.2 us for 11.11 standing for 2000 us / 180 degrees
-    assert np.abs(arm.pulses_us(q) - published).max() <= 0.7
+    assert np.abs(arm.ticks(q) - published).max() <= 0.7
 
 
 def test_gripper_pitch_is_shoulder_minus_elbow_plus_wrist(arm):
@@ -59,7 +59,7 @@ def test_links_have_the_lengths_of_the_arm(arm):
 
 def test_upright_pose_stands_straight_up_at_mid_pulses(arm):
     q = np.array([0.0, np.pi / 2, 0.0, 0.0])
-    assert np.abs(arm.pulses_us(q) - 1500).max() == 0
+    assert np.abs(arm.ticks(q) - 1500).max() == 0
     assert np.allclose(arm.tip(q)[0], [0.0, 0.0, 0.088 + 0.215], atol=1e-12)
 
 
@@ -78,7 +78,7 @@ def test_every_solution_keeps_limits_pulses_and_table(arm):
     q = q[is_reachable]
     assert (q >= arm.limits_rad[:, 0]).all()
     assert (q <= arm.limits_rad[:, 1]).all()
-    exact = arm.zero_us + arm.us_per_rad * q
+    exact = arm.zero_ticks + arm.ticks_per_rad * q
     assert exact.min() > 499.5
     assert exact.max() < 2500.5
     assert arm.forward(q)[:, 1:3, 2].min() >= arm.pitch.min_link_z_m - 1e-9
@@ -90,8 +90,8 @@ def test_reach_on_the_table_ends_where_the_shoulder_servo_does(arm):
 
 
 def test_links_alone_would_reach_198_mm_but_not_210_mm(tmp_path):
-    shoulder = "zero_us = 2500.0\nus_per_rad = -636.6\noffset_us = 0.0\nlow_rad = 0.0"
-    freed = "zero_us = 2200.0\nus_per_rad = -500.0\noffset_us = 0.0\nlow_rad = -0.5"
+    shoulder = "zero_ticks = 2500.0\nticks_per_rad = -636.6\noffset_ticks = 0.0\nlow_rad = 0.0"
+    freed = "zero_ticks = 2200.0\nticks_per_rad = -500.0\noffset_ticks = 0.0\nlow_rad = -0.5"
     arm = ArmModel.load(write_arm(tmp_path, (shoulder, freed)))
     q, is_reachable = arm.inverse(ring([0.198, 0.199, 0.21], 0.005))
     assert is_reachable.tolist() == [True, False, False]
@@ -116,7 +116,7 @@ def test_gripper_tilts_more_the_farther_it_must_reach(arm):
 def test_left_of_the_arm_is_a_longer_base_pulse(arm):
     q, is_reachable = arm.inverse(ring(0.12, 0.005, np.deg2rad([-90.0, -30.0, 0.0, 30.0, 90.0])))
     assert is_reachable.all()
-    assert arm.pulses_us(q)[:, 0].tolist() == [500, 1167, 1500, 1833, 2500]
+    assert arm.ticks(q)[:, 0].tolist() == [500, 1167, 1500, 1833, 2500]
 
 
 def test_behind_the_arm_is_out_of_reach(arm):
@@ -132,7 +132,7 @@ def test_a_point_that_is_not_finite_is_out_of_reach(arm):
 
 def test_pulses_and_angles_are_each_others_inverse(arm):
     q = random_poses(arm, 300)
-    assert np.abs(arm.angles_rad(arm.pulses_us(q)) - q).max() <= 0.5 / 636.6 + 1e-9
+    assert np.abs(arm.angles_rad(arm.ticks(q)) - q).max() <= 0.5 / 636.6 + 1e-9
 
 
 def test_travel_time_is_that_of_the_slowest_joint(arm):
@@ -166,7 +166,7 @@ def test_unknown_arm_is_refused_with_the_list_of_known_ones():
         ("low_rad = 0.0", "low_rad = -0.2", r"\[joints.shoulder\].*500..2500"),
         ("low_rad = 0.0", "low_rad = 4.0", "low_rad must be below high_rad"),
         ("tip_m = [0.06, 0.0, 0.18]", "tip_m = [0.3, 0.0, 0.3]", "cannot reach"),
-        ("us_per_rad = -636.6", "us_per_rad = 0.0", "us_per_rad must not be 0"),
+        ("ticks_per_rad = -636.6", "ticks_per_rad = 0.0", "ticks_per_rad must not be 0"),
         ("[joints.wrist]", "[joints.hand]", "must hold yaw, shoulder, elbow, wrist"),
         ("[home]\ntip_m", "home = 3\ntip_mm", "home|key"),
         ("lag_s = 0.08", "lag_s = nan", "lag_s"),

@@ -93,7 +93,7 @@ def test_a_host_that_stalls_does_not_make_the_arm_hurry(ready, arm):
     for _ in range(60):
         ready.advance(0.01)
         now = ready.firmware._commanded_us().copy()
-        speeds.append(np.abs(now - before)[:4] / np.abs(arm.us_per_rad) / 0.01)
+        speeds.append(np.abs(now - before)[:4] / np.abs(arm.ticks_per_rad) / 0.01)
         before = now
     # whole pulses and whole milliseconds: one pulse in 100 ms is 0.016 rad/s
     assert np.max(speeds) <= arm.rate_rad_s.max() * 1.02
@@ -310,13 +310,13 @@ def test_a_pose_outside_the_limits_cannot_be_vouched_for(bench):
 
 
 def test_arming_closes_the_gripper(ready, arm):
-    ready.firmware.feed(rrc.encode(rrc.PwmMoveOne(0, arm.gripper.servo_id, arm.gripper.open_us)))
+    ready.firmware.feed(rrc.encode(rrc.PwmMoveOne(0, arm.gripper.servo_id, arm.gripper.open_ticks)))
     ready.advance(1.0)
     ready.session.estop("x")
     ready.session.reset()
     ready.session.arm()
     ready.advance(1.0)
-    assert ready.firmware.gripper_us == pytest.approx(arm.gripper.closed_us, abs=1.0)
+    assert ready.firmware.gripper_us == pytest.approx(arm.gripper.closed_ticks, abs=1.0)
 
 
 def test_the_battery_voltage_is_known_after_a_second(ready):

@@ -16,7 +16,7 @@ import apex_edge
 from apex_edge.cli import main
 from firmware_bridge.errors import NoSuchPort, PortBusy
 from firmware_bridge.kinematics import ArmModel
-from firmware_bridge.link import SerialLink
+from firmware_bridge.links.serial_link import SerialLink
 from firmware_bridge.ready import ReadyArm
 from firmware_bridge.simulator import PtyBoard, RrcFirmware
 

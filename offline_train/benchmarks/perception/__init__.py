@@ -19,6 +19,7 @@ import numpy as np
 from apex_edge.errors import ColourError, ConfigError
 from apex_edge.perception import PerceptionConfig
 from apex_edge.record.whole import write_whole_text
+from offline_train.benchmarks.lines import Line, are_all_ok, table
 from offline_train.benchmarks.perception import (
     clips,
     cost,
@@ -28,7 +29,6 @@ from offline_train.benchmarks.perception import (
     truth,
     twin_clips,
 )
-from offline_train.benchmarks.perception.lines import Line, are_all_ok, table
 from offline_train.benchmarks.perception.truth import ClipTruth
 
 HELP = "cost, motion, honesty, labelled clips and malformed inputs of perception"

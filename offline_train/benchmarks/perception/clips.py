@@ -19,7 +19,7 @@ from apex_edge.perception import ColourTable, Perception, PerceptionConfig
 from apex_edge.types import Array, Frame, Tracks, TrackStatus
 from apex_edge.verbs.progress import Progress
 from calib import colour
-from offline_train.benchmarks.perception.lines import Line, at_least, at_most, note
+from offline_train.benchmarks.lines import Line, at_least, at_most, note
 from offline_train.benchmarks.perception.recorder import Note, listening
 from offline_train.benchmarks.perception.truth import Centre, ClipTruth, StraightRun
 

@@ -28,8 +28,8 @@ from apex_edge.twin.scene import Scenario, SceneObject
 from apex_edge.twin.world import TwinWorld
 from apex_edge.types import Array, Frame
 from apex_edge.verbs.progress import Progress
+from offline_train.benchmarks.lines import Line, at_most, note
 from offline_train.benchmarks.perception import peer
-from offline_train.benchmarks.perception.lines import Line, at_most, note
 
 FPS = 30.0
 N_FRAMES = 24

@@ -26,8 +26,8 @@ from apex_edge.twin.scenarios import KINDS, make
 from apex_edge.twin.world import TwinWorld, WorldState
 from apex_edge.types import Array, Tracks, TrackStatus
 from apex_edge.verbs.progress import Progress
+from offline_train.benchmarks.lines import Line
 from offline_train.benchmarks.perception.clips import ClipRun
-from offline_train.benchmarks.perception.lines import Line
 from offline_train.benchmarks.perception.recorder import Note, listening
 from offline_train.benchmarks.perception.truth import ClipTruth
 

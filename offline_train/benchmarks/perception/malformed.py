@@ -22,8 +22,8 @@ from typing import IO, Any, Counter, Dict, Iterator, List, NamedTuple, Sequence,
 import numpy as np
 
 from apex_edge.verbs.progress import Progress
+from offline_train.benchmarks.lines import Line, at_most
 from offline_train.benchmarks.perception import bad_calibrations, bad_files, bad_frames, judge
-from offline_train.benchmarks.perception.lines import Line, at_most
 
 N_CASES = 10_000
 MAX_CHILDREN = 2

@@ -14,8 +14,8 @@ from apex_edge.perception.motion import MotionEstimator, MotionRules
 from apex_edge.perception.settings import PerceptionConfig
 from apex_edge.types import Array
 from apex_edge.verbs.progress import Progress
+from offline_train.benchmarks.lines import Line, at_most, note
 from offline_train.benchmarks.perception import peer
-from offline_train.benchmarks.perception.lines import Line, at_most, note
 
 FPS = 30.0
 JITTER_S = 0.003

@@ -6,12 +6,15 @@ here all of them are LinkLost, and the port is closed.
 
 import contextlib
 import errno
+import select
+import time
 from typing import Any, List
 
 import serial
 from serial.tools import list_ports
 
 from firmware_bridge.errors import LinkLost, NoSuchPort, PortBusy, PortError
+from firmware_bridge.links.base import Link
 
 try:
     from termios import error as _TermiosError  # noqa: N812
@@ -23,16 +26,14 @@ _LOST = (serial.SerialException, OSError, _TermiosError)
 # 17 bytes take 0.2 ms at 1 Mbaud, and a blocked line is as good as lost. But pyserial also raises
 # when the bytes are out and this process was kept from the CPU meanwhile: 0.1 s of that was seen.
 _WRITE_TIMEOUT_S = 1.0
+_POLL_S = 0.0005
 
 
-class SerialLink:
-    """One serial port, by path or pyserial URL; ``n_bytes_out`` and ``n_bytes_in`` count."""
+class SerialLink(Link):
+    """One serial port, by path or pyserial URL."""
 
     def __init__(self, port: str, baud: int = 1_000_000) -> None:
-        self.port = port
-        self.baud = baud
-        self.n_bytes_out = 0
-        self.n_bytes_in = 0
+        super().__init__(port, baud)
         self._serial: Any = None
 
     @property
@@ -69,8 +70,8 @@ class SerialLink:
             with contextlib.suppress(*_LOST):  # gone already is what closing wants
                 device.close()
 
-    def write(self, data: bytes) -> None:
-        """Send all of ``data``.
+    def write(self, data: bytes, n_reply: int = 0) -> None:
+        """Send all of ``data``; replies come by themselves, so ``n_reply`` is of no use here.
 
         Raises
         ------
@@ -99,6 +100,28 @@ class SerialLink:
             raise self._lost("read", error) from error
         self.n_bytes_in += len(data)
         return data
+
+    def wait_readable(self, timeout_s: float) -> None:
+        """Return when bytes wait or the time is over.
+
+        Raises
+        ------
+        LinkLost : the port is closed or went away.
+        """
+        device = self._device()
+        end_s = time.monotonic() + timeout_s
+        try:
+            descriptor = device.fileno()
+        except (OSError, AttributeError):  # sockets of a URL, loop://: no descriptor to wait on
+            descriptor = None
+        try:
+            if descriptor is not None:
+                select.select([descriptor], [], [], timeout_s)
+                return
+            while not device.in_waiting and time.monotonic() < end_s:
+                time.sleep(_POLL_S)
+        except (*_LOST, ValueError) as error:
+            raise self._lost("wait", error) from error
 
     def _device(self) -> Any:
         if self._serial is None:

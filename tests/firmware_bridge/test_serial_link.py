@@ -5,7 +5,7 @@ from serial.tools import list_ports
 
 from firmware_bridge.errors import LinkLost, NoSuchPort, PortBusy, PortError
 from firmware_bridge.kinematics import ArmModel
-from firmware_bridge.link import SerialLink
+from firmware_bridge.links.serial_link import SerialLink
 from firmware_bridge.simulator import PtyBoard, RrcFirmware
 
 
