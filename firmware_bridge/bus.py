@@ -209,27 +209,12 @@ class Bus:
         while at < len(frames):
             with self._turns.turn(priority):
                 while at < len(frames):
-                    self._put_and_hear(frames[at], check)
+                    self._wire.put(frames[at], 0, check)
+                    self.stats.sent += 1
                     at += 1
                     if self._turns.is_wanted_above(priority):
                         break
         return self._clock() + self.link.idle_in_s()
-
-    def _put_and_hear(self, frame: bytes, check: Callable[[], None]) -> None:
-        """Write a frame and, where servos acknowledge it, wait until they have."""
-        n_ack = self.protocol.n_ack(frame)
-        end_s = self._wire.put(frame, n_ack, check) + self.settings.slack_s
-        self.stats.sent += 1
-        if not n_ack:
-            return
-        heard: List[bytes] = []
-        while not heard and self._clock() < end_s:
-            heard = self._hear(end_s)
-        self._wire.expect_nothing()
-        if heard:
-            self.link.mark_idle()
-        else:
-            self.stats.timeouts += 1
 
     def _let_pass(self, duration_s: float, mark: Tuple[int, int]) -> None:
         """Let time pass in slices, the line free for others in between."""

@@ -6,7 +6,6 @@ from plain_bus import (
     STOP,
     Line,
     Plain,
-    PlainAck,
     PlainBlind,
     PlainNoTarget,
     PlainServos,
@@ -23,8 +22,8 @@ def answer(servo_id, value, command=POSITION):
     return frame(servo_id, command | 0x80, number(value))
 
 
-def make(protocol=None, settings=None, **options):
-    line = Line(PlainServos(**options))
+def make(protocol=None, settings=None):
+    line = Line(PlainServos())
     bus = Bus(protocol or Plain(), line, settings, line.clock)
     bus.open()
     return bus, line
@@ -252,15 +251,6 @@ def test_a_move_without_verification_asks_nothing(known):
     bus, line = known
     assert bus.move([ServoTarget(1, 600)], 200, is_verified=False) == {1: Verdict.UNVERIFIABLE}
     assert len(line.written) == 1
-
-
-def test_the_next_frame_waits_for_the_acknowledgement():
-    bus, line = make(PlainAck(), is_acking=True)
-    heard_at_write = []
-    line.on_write = lambda data: heard_at_write.append(line.n_bytes_in)
-    bus.move([ServoTarget(1, 600), ServoTarget(2, 300)], 200, is_verified=False)
-    assert heard_at_write == [0, 5]
-    assert bus.stats.timeouts == 0
 
 
 # -- stopping ---------------------------------------------------------------------------------
