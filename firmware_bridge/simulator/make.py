@@ -1,16 +1,6 @@
 """Make a simulated firmware by the name of its protocol, for the command, tests and benches."""
 
-import importlib
-import random
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
-
-from firmware_bridge.errors import ProtocolError
-from firmware_bridge.simulator.base import Firmware
-from firmware_bridge.simulator.faults import FaultScript, parse_script
-from firmware_bridge.simulator.faulty import FaultyFirmware
-from firmware_bridge.simulator.physics import PHYSICS, PLAIN, Supply
-from firmware_bridge.simulator.servo import SimServo
-from firmware_bridge.simulator.wire import WireOptions
+from typing import Dict, NamedTuple, Tuple
 
 
 class Family(NamedTuple):
