@@ -125,9 +125,9 @@ def test_a_loop_is_an_adapter_that_echoes_everything():
 
 
 class BarePort(serial.Serial):
-    """A terminal has none of the modem lines that the server wants to report."""
+    """A terminal has none of the modem lines that the server reports and sets."""
 
-    cts = dsr = ri = cd = False
+    cts = dsr = ri = cd = dtr = rts = False
 
 
 class Rfc2217Server(threading.Thread):
