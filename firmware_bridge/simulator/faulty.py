@@ -33,7 +33,6 @@ class _Way:
     """One direction of the line: frames in, what is left of them out when its time has come."""
 
     def __init__(self, name: str, protocol: str, script: FaultScript, seed: int) -> None:
-
         # each way has its own chance, so that it does not matter how the ways interleave
         self._rng = random.Random(f"{name} {seed}")
         self._faults = [one for one in script.line if name in one.ways]
