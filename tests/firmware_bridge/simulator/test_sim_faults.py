@@ -6,9 +6,10 @@ import pytest
 from lx_frames import ask, faulty, move, positions, question, run
 
 from firmware_bridge.codec.protocol import ServoFlag
-from firmware_bridge.errors import SimulatorFileError
+from firmware_bridge.errors import LinkLost, NoSuchPort, SimulatorFileError
 from firmware_bridge.simulator.cutter import SHAPES, Cutter
 from firmware_bridge.simulator.damage import DAMAGE
+from firmware_bridge.simulator.direct_link import DirectLink
 from firmware_bridge.simulator.faults import load_script, parse_script
 
 CLEAN = {1: question(faulty(), 1), 2: question(faulty(), 2)}
@@ -266,3 +267,19 @@ def test_cutter_finds_frames_and_loses_no_byte(protocol, chunk):
         pieces += cutter.feed(stream[at : at + chunk])
     assert pieces.count(one) == 3
     assert b"".join(pieces) + cutter.flush() == stream
+
+
+def test_direct_link_is_lost_with_the_plug_and_opens_again_later():
+    firmware = faulty(devices=[{"kind": "unplug", "at_s": 0.1, "for_s": 0.2}])
+    link = DirectLink(firmware)
+    link.open()
+    link.wait_readable(0.05)
+    with pytest.raises(LinkLost):
+        for _ in range(100):
+            link.wait_readable(0.01)
+    with pytest.raises(NoSuchPort):
+        link.open()
+    run(firmware, 0.3)
+    link.open()
+    link.write(ask(1))
+    assert positions(link.read_available()) == [(1, 100)]
