@@ -6,7 +6,7 @@ An urgent list does not even wait for that (see ``bus_wire``).
 """
 
 import time
-from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 from firmware_bridge.bus_turns import Priority, Turns
 from firmware_bridge.bus_values import BusSettings, BusStats, Plausibility, Reading, Verdict
@@ -67,6 +67,7 @@ class Bus:
         self._parser: Parser = protocol.parser()
         self._n_bad_before = 0
         self._n_stops = 0
+        self._told: Dict[int, int] = {}  # id -> ticks it was moved to, as far as that is known
 
     @property
     def is_open(self) -> bool:
@@ -90,6 +91,7 @@ class Bus:
                 self.link.open()
             self._parser, self._n_bad_before = self.protocol.parser(), 0
             self._plausibility.forget()
+            self._told = {}
             self._wire.expect_nothing()
 
     def close(self) -> None:
@@ -111,6 +113,8 @@ class Bus:
             return self.urgent(frames)
         if priority is Priority.STOP:
             self._n_stops += 1
+        if priority is not Priority.READ:
+            self._told = {}
         return self._send(frames, priority, self._mark())
 
     def read(
@@ -135,8 +139,10 @@ class Bus:
     ) -> Dict[int, Verdict]:
         """Send a move, compare what the servos say they were told, and send it again if need be.
 
-        Where a protocol tells positions but no targets, the comparison comes after the move's end,
-        and this call lasts as long.
+        A damaged frame may have moved another servo: when one of the targets did not arrive at
+        once, the others that were moved before are asked too, and one that was told something else
+        is in the answer as MISMATCH; nothing is sent to it. Where a protocol tells positions but no
+        targets, the comparison comes after the move's end, and this call lasts as long.
 
         Raises
         ------
@@ -145,21 +151,30 @@ class Bus:
         ProtocolError : no well-formed frame can carry it.
         """
         mark = self._mark()
+        others = self._told
+        self._told = {}
         self._send(self.protocol.move(targets, duration_ms), Priority.MOVE, mark)
-        verdicts = {target.servo_id: Verdict.UNVERIFIABLE for target in targets}
         compare = self._comparison()
         if compare is None or not is_verified:
-            return verdicts
+            return {target.servo_id: Verdict.UNVERIFIABLE for target in targets}
+        verdicts: Dict[int, Verdict] = {}
         left = list(targets)
         for n_sent in range(1, self.settings.n_move_tries + 1):
             if compare is Quantity.POSITION:
                 self._let_pass(duration_ms / 1000.0 + self.settings.settle_s, mark)
-            verdicts.update(self._read_back(compare, left))
+            verdicts.update(self._read_back(compare, {t.servo_id: t.ticks for t in left}))
             left = [t for t in left if verdicts[t.servo_id] is not Verdict.CONFIRMED]
             if not left or self._is_overtaken(mark) or n_sent == self.settings.n_move_tries:
                 break
             self.stats.retries += 1
             self._send(self.protocol.move(left, duration_ms), Priority.MOVE, mark)
+        told = {target.servo_id: target.ticks for target in targets}
+        others = {servo_id: ticks for servo_id, ticks in others.items() if servo_id not in told}
+        if (left or n_sent > 1) and others and not self._is_overtaken(mark):
+            found = self._read_back(compare, others)
+            verdicts.update({i: v for i, v in found.items() if v is Verdict.MISMATCH})
+        if not self._is_overtaken(mark):
+            self._told = {**others, **told}
         return verdicts
 
     def urgent(self, frames: Sequence[bytes], is_latched: bool = True) -> float:
@@ -172,6 +187,7 @@ class Bus:
         ------
         LinkLost : the link is closed or went away; the latch is set all the same.
         """
+        self._told = {}
         sent_s = self._wire.urgent(frames, is_latched)
         self.stats.sent += len(frames)
         return sent_s
@@ -234,12 +250,11 @@ class Bus:
 
         return accept
 
-    def _read_back(self, quantity: Quantity, targets: Sequence[ServoTarget]) -> Dict[int, Verdict]:
+    def _read_back(self, quantity: Quantity, wanted: Mapping[int, int]) -> Dict[int, Verdict]:
         """Compare what servos say with what they were told.
 
         A damaged answer looks like a damaged move, so only two that agree make a mismatch.
         """
-        wanted = {target.servo_id: target.ticks for target in targets}
         tolerance = self._plausibility.jump_ticks if quantity is Quantity.POSITION else 0
 
         def is_right(reply: Reply) -> bool:

@@ -233,6 +233,23 @@ def test_a_dead_servo_is_unanswered(known):
     assert verdicts == {1: Verdict.UNANSWERED, 2: Verdict.CONFIRMED}
 
 
+def test_a_damaged_move_that_reached_another_servo_is_noticed_and_not_undone(known):
+    bus, line = known
+    bus.move([ServoTarget(i, 500) for i in (1, 2, 3)], 200)
+    line.commands = [lambda data: frame(3, MOVE, number(600) + number(200))]
+    verdicts = bus.move([ServoTarget(1, 600)], 200)
+    assert verdicts == {1: Verdict.CONFIRMED, 3: Verdict.MISMATCH}
+    assert line.servos.servos[3].target == 600
+
+
+def test_what_frames_of_a_caller_told_other_servos_is_no_mismatch(known):
+    bus, line = known
+    bus.move([ServoTarget(2, 500)], 200)
+    bus.send(Plain().move([ServoTarget(2, 700)], 200), Priority.MOVE)
+    line.commands = [lambda data: b""]
+    assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.CONFIRMED}
+
+
 def test_without_targets_to_read_the_position_is_compared_after_the_move():
     bus, line = make(PlainNoTarget())
     assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.CONFIRMED}
