@@ -19,6 +19,7 @@ from firmware_bridge.links.base import Link
 __all__ = ["Bus", "BusSettings", "BusStats", "Priority", "Reading", "Verdict"]
 
 _SLICE_S = 0.002  # longest wait without a look at what became urgent
+_SILENCE_S = 0.001  # as long as this after the last byte nothing of the same answer comes
 _DEFAULT_BAUD = 1_000_000
 _BOARD = -1
 Accept = Callable[[Reply, List[Reply]], bool]
@@ -65,7 +66,7 @@ class Bus:
         self._wire = Wire(link, clock, self._byte_s, protocol.is_half_duplex)
         self._plausibility = Plausibility(protocol, self.settings)
         self._parser: Parser = protocol.parser()
-        self._n_bad_before = 0
+        self._n_bad_before = self._n_heard = 0
         self._n_stops = 0
         self._told: Dict[int, int] = {}  # id -> ticks it was moved to, as far as that is known
 
@@ -321,6 +322,7 @@ class Bus:
         with self._turns.turn(priority):
             began_s, n_urgent = self._clock(), self._wire.n_urgent
             self._take_unasked()
+            n_whole = self._n_heard + query.n_reply
             in_s = self._wire.put(query.frame, query.n_reply, _allow)
             self.stats.sent += 1
             end_s = min(in_s + self.settings.slack_s, began_s + left_s)
@@ -328,7 +330,10 @@ class Bus:
             replies: List[Tuple[Reply, float]] = []
             while missing and self._wire.n_urgent == n_urgent:
                 is_over = self._clock() >= end_s - 1e-9
+                n_before = self._n_heard
                 frames = self._give_up() if is_over else self._hear(end_s)
+                if n_before < self._n_heard >= n_whole:  # all there, and still no answer in it
+                    end_s = min(end_s, self._clock() + _SILENCE_S)
                 for reply in self._answers(query, frames):
                     missing.discard(reply.servo_id if query.servo_ids else _BOARD)
                     if reply.is_ok:
@@ -360,7 +365,9 @@ class Bus:
         left_s = end_s - self._clock()
         if left_s > 0.0:
             self.link.wait_readable(min(left_s, _SLICE_S))
-        return self._count(self._parser.feed(self.link.read_available()))
+        data = self.link.read_available()
+        self._n_heard += len(data)
+        return self._count(self._parser.feed(data))
 
     def _give_up(self) -> List[bytes]:
         """Treat the line as silent; return the frames that stood behind an unfinished one."""
