@@ -63,7 +63,8 @@ class Bus:
         self._clock = clock
         self._byte_s = 10.0 / (link.baud or protocol.baud or _DEFAULT_BAUD)
         self._turns = Turns()
-        self._wire = Wire(link, clock, self._byte_s, protocol.is_half_duplex)
+        slack_s = self.settings.slack_s
+        self._wire = Wire(link, clock, self._byte_s, slack_s, protocol.is_half_duplex)
         self._plausibility = Plausibility(protocol, self.settings)
         self._parser: Parser = protocol.parser()
         self._n_bad_before = self._n_heard = 0

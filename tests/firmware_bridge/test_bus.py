@@ -323,12 +323,12 @@ def test_a_question_that_a_stop_overtook_is_asked_again_by_itself(known):
     assert bus.stats.preempted == 1
 
 
-def test_a_stop_that_may_have_met_an_answer_goes_out_twice(known):
+def test_a_stop_that_may_have_met_an_answer_goes_out_again_when_that_is_over(known):
     bus, line = known
     stop, question = frame(1, STOP), frame(1, POSITION)
     line.on_write = lambda data: line.written == [question] and bus.urgent((stop,))
     assert bus.read(Quantity.POSITION, (1,))[1].values == (500,)
-    assert line.written[:3] == [question, stop, stop]
+    assert line.written[:4] == [question, stop, stop, stop]
 
 
 def test_a_stop_on_a_quiet_line_goes_out_once(known):

@@ -5,7 +5,8 @@ from typing import Dict, List, NamedTuple, Tuple
 
 from firmware_bridge.simulator.base import Firmware
 from firmware_bridge.simulator.damage import DAMAGE, damage
-from firmware_bridge.simulator.make import Setup
+from firmware_bridge.simulator.i2c_board import I2cBoard
+from firmware_bridge.simulator.make import Setup, make_servos
 from firmware_bridge.simulator.servo import SimServo
 
 IDS = (1, 2, 3, 4, 5, 6)
@@ -24,6 +25,8 @@ _N_REMEMBERED = 12
 
 def device(name: str, seed: int) -> Firmware:
     """Return a simulated device with servos 1..6 that have a rate and a lag and nothing else."""
+    if name == "i2c":
+        return I2cBoard(make_servos(Setup("rrc", ids=IDS, seed=seed, is_plain=True)))
     return Setup(name, ids=IDS, seed=seed, is_plain=True).firmware()
 
 
