@@ -10,7 +10,7 @@ from typing import Optional
 import numpy as np
 
 from apex_edge.types import Array
-from firmware_bridge.codec import rrc
+from firmware_bridge.codec import rrc, rrc_frames
 from firmware_bridge.errors import ProtocolError
 from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US, ArmModel
 
@@ -32,7 +32,7 @@ class RrcFirmware:
     ) -> None:
         self._arm = arm
         self._ids = (*arm.servo_ids, arm.gripper.servo_id)
-        self._parser = rrc.RrcParser()
+        self._parser = rrc_frames.device_parser()
         self._replies = bytearray()
         self.battery_mv = battery_mv
         self.n_rejected = 0
@@ -55,7 +55,7 @@ class RrcFirmware:
     @property
     def n_bad_crc(self) -> int:
         """Frames dropped for their CRC."""
-        return self._parser.n_bad_crc
+        return self._parser.n_bad
 
     @property
     def joints_rad(self) -> Array:
