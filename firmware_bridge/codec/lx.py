@@ -166,7 +166,7 @@ def frame_bytes(servo_id: int, command: int, parameters: bytes) -> bytes:
 
 def _require_values(layout: _Layout, message: Message) -> None:
     layout.require(message.values)
-    if message.command in _PAIRS and message.values[0] >= message.values[1]:
+    if message.values and message.command in _PAIRS and message.values[0] >= message.values[1]:
         raise ProtocolError(f"limits {message.values}: the lower one must be below the upper one")
 
 
