@@ -280,11 +280,9 @@ class Bus:
     def _comparison(self) -> Optional[Quantity]:
         """Return what tells whether a move has arrived, if anything does."""
         known = self.protocol.quantities
-        if Quantity.TARGET in known:
-            return Quantity.TARGET
-        if Quantity.POSITION in known and self.protocol.has_feedback:
-            return Quantity.POSITION
-        return None
+        if not self.protocol.has_feedback:  # a board's memory of a command is none of the servo
+            return None
+        return Quantity.TARGET if Quantity.TARGET in known else Quantity.POSITION
 
     def _collect(self, query: Query, priority: Priority, accept: Accept) -> Dict[int, Reading]:
         """Ask until ``accept`` has taken an answer of every servo, or the budget is gone.
