@@ -2,13 +2,13 @@
 
 The simulated device runs in a process of its own and answers at once (the line is not paced), so
 that what is measured is the host's code. Ours checks id, command, length, range and plausibility of
-every answer. The libraries take turns, and the ratio is of the medians. Source: ours.
+every answer. The libraries take turns and the best round of each counts, since whatever else the
+machine does only makes a round slower. Source: ours.
 """
 
 import contextlib
 import multiprocessing
 import os
-import statistics
 import time
 import tty
 from typing import Callable, Dict, Iterator, List, Optional
@@ -26,7 +26,7 @@ from offline_train.benchmarks.lines import Line, at_least, note
 
 SUITE = "throughput"
 N_READS = 6000
-N_ROUNDS = 5
+N_ROUNDS = 7
 GOAL_HZ = 3000.0
 _CHUNK = 4096
 _STEP_S, _N_STEPS = 0.0005, 10  # a servo's own delay passes in simulated time, not in real time
@@ -96,7 +96,7 @@ def measure(scale: float, seed: int) -> List[Line]:
 def _rates(
     name: str, readers: Dict[str, Callable[[str], Iterator[Optional[ReadOne]]]], n_reads: int
 ) -> Dict[str, Optional[float]]:
-    """Return the median rate of each reader, None for a library that is not there."""
+    """Return the best rate of each reader, None for a library that is not there."""
     found: Dict[str, List[float]] = {who: [] for who in readers}
     with served(name) as port, Progress("rounds", N_ROUNDS) as progress:
         for _ in range(N_ROUNDS):
@@ -105,7 +105,7 @@ def _rates(
                     if read is not None:
                         found[who].append(rate_hz(read, n_reads))
             progress.advance()
-    return {who: statistics.median(rates) if rates else None for who, rates in found.items()}
+    return {who: max(rates) if rates else None for who, rates in found.items()}
 
 
 def _ours(name: str) -> Callable[[str], Iterator[Optional[ReadOne]]]:
