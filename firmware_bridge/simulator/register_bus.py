@@ -17,7 +17,6 @@ from firmware_bridge.simulator.physics import PLAIN
 from firmware_bridge.simulator.servo import SimServo
 
 _SILENCE_S = 0.005
-_BITS_PER_BYTE = 10.0
 _DELAY_UNIT_S = 2e-6
 _MOVING_TICKS_S = 5.0
 
@@ -300,15 +299,11 @@ class RegisterBus(Firmware):
         self._out.append((self.t_s + member.delay_s, frame))
 
     def answer_in_turn(self, frames: Sequence[Tuple[RegisterServo, bytes]]) -> None:
-        """Queue answers one behind the other."""
+        """Queue answers one behind the other; the time of their bytes is up to the wire."""
         due_s = self.t_s
         for member, frame in frames:
             due_s += member.delay_s
             self._out.append((due_s, frame))
-            due_s += self._line_s(frame)
-
-    def _line_s(self, frame: bytes) -> float:
-        return _BITS_PER_BYTE * len(frame) / self.line_baud
 
     def _hears(self, member: RegisterServo) -> bool:
         return member.servo.is_answering and member.baud == self.line_baud
