@@ -1,33 +1,21 @@
 """The limits of motion, all in one function that every path passes before a byte is sent."""
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import Optional
 
 import numpy as np
 
-from apex_edge.config import setting
 from apex_edge.types import Array
+from firmware_bridge.arm_file import Limits
 from firmware_bridge.errors import MotionRefused
 from firmware_bridge.kinematics import ArmModel
+
+__all__ = ["CheckedPath", "Limits", "check_path"]
 
 _POINTS = ("shoulder", "elbow", "wrist", "tip")
 _MIN_SAMPLES = 8
 _MAX_SAMPLE_RAD = 0.05  # the tip is at most 0.215 m away: samples are at most about 11 mm apart
 _EPS_RAD = 1e-9
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Where the arm may go, on top of its own joint limits and rates."""
-
-    max_step_rad: float = setting(3.2, "largest turn of a joint between way-points", 0.01, 7.0)
-    max_duration_s: float = setting(30.0, "longest segment", 0.1, 300.0)
-    min_tip_z_m: float = setting(0.003, "table plane for the tip", 0.0, 0.5)
-    min_link_z_m: float = setting(0.010, "table plane for elbow and wrist", 0.0, 0.5)
-    base_radius_m: float = setting(0.045, "the tip keeps out of this radius, below z", 0.0, 0.5)
-    base_height_m: float = setting(0.088, "height of the base that the tip keeps out of", 0.0, 0.5)
-    box_low_m: Tuple[float, float, float] = setting((-0.15, -0.25, 0.0), "workspace", -2.0, 2.0)
-    box_high_m: Tuple[float, float, float] = setting((0.25, 0.25, 0.35), "workspace", -2.0, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +60,7 @@ def check_path(
     MotionRefused : shape, not finite, joint limit, step, duration, workspace, table or base; the
         message names the way-point, the joint or point, what was found and what is allowed.
     """
-    bounds = limits if limits is not None else Limits()
+    bounds = limits if limits is not None else arm.workspace
     start = np.asarray(q_from, dtype=np.float64)
     goals = np.asarray(joints_rad, dtype=np.float64)
     times = np.asarray(duration_s, dtype=np.float64)
