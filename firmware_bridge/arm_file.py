@@ -28,12 +28,17 @@ _TICK_RANGES: Dict[str, Tuple[int, int]] = {
     "dxl2": (0, 4095),
     "i2c": (PULSE_MIN_US, PULSE_MAX_US),
 }
+REJECT, CLAMP = "reject", "clamp"
 _Place = Tuple[float, float, float]
 
 
-def _maybe(default: Any, doc: str, low: Any = None, high: Any = None) -> Any:
-    """Declare a key that a file may leave out; all others must be there."""
-    meta = {"doc": doc, "low": low, "high": high, "choices": (), "is_optional": True}
+def _maybe(default: Any, doc: str, *allowed: Any) -> Any:
+    """Declare a key that a file may leave out, with its range; all others must be there."""
+    meta: Dict[str, Any] = {"doc": doc, "is_optional": True}
+    if isinstance(default, str):
+        meta["choices"] = allowed[0]
+    elif allowed:
+        meta["low"], meta["high"] = allowed
     return field(default=default, metadata=meta)
 
 
@@ -149,6 +154,7 @@ class Limits:
     base_height_m: float = setting(0.088, "height of the base that the tip keeps out of", 0.0, 0.5)
     box_low_m: _Place = setting((-0.15, -0.25, 0.0), "workspace", -2.0, 2.0)
     box_high_m: _Place = setting((0.25, 0.25, 0.35), "workspace", -2.0, 2.0)
+    mode: str = _maybe(REJECT, "refuse what breaks a limit, or bring it there", (REJECT, CLAMP))
 
 
 @dataclass(frozen=True)
