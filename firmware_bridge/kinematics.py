@@ -215,14 +215,15 @@ class ArmModel:
         Each joint speeds up, travels at its rate and slows down again; ``lag_s`` comes on top.
         """
         step = np.abs(np.atleast_2d(q_to) - np.asarray(q_from))
-        rate, accel = self.rate_rad_s, self.accel_rad_s2
-        if np.isinf(accel).all():
-            result: Array = (step / rate).max(axis=1)
-            return result
-        is_long = step * accel >= rate**2
-        travel = np.where(is_long, step / rate + rate / accel, 2.0 * np.sqrt(step / accel))
-        slowest: Array = travel.max(axis=1)
-        return slowest
+        travel = step / self.rate_rad_s
+        j = np.flatnonzero(np.isfinite(self.accel_rad_s2))
+        if len(j):
+            rate, accel = self.rate_rad_s[j], self.accel_rad_s2[j]
+            is_long = step[:, j] * accel >= rate**2
+            short_s = 2.0 * np.sqrt(step[:, j] / accel)
+            travel[:, j] = np.where(is_long, travel[:, j] + rate / accel, short_s)
+        result: Array = travel.max(axis=1)
+        return result
 
     def ticks(self, q_rad: Array) -> Array:
         """Return whole servo positions (..., k) in ticks, kept within what the servos take."""
