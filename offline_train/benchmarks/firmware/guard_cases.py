@@ -4,6 +4,7 @@ The oracle multiplies matrices link by link, looks at many points of each link, 
 ``firmware_bridge.guard`` and ``clearance``. Source: ours.
 """
 
+import contextlib
 import time
 from collections import Counter
 from typing import Any, List, NamedTuple, Optional, Tuple
@@ -210,6 +211,8 @@ def pose_faults(arm: ArmModel, joints_rad: Array, room_m: float = -_SLACK_M) -> 
     points, limits = link_points(arm, joints_rad), arm.workspace
     tip = points[:, 3]
     off_axis = np.hypot(tip[:, 0] - arm.links.axis_m[0], tip[:, 1] - arm.links.axis_m[1])
+    is_in_base = off_axis < limits.base_radius_m + room_m
+    is_in_base &= tip[:, 2] < limits.base_height_m + room_m
     outside = np.maximum(limits.box_low_m - points[:, 1:], points[:, 1:] - limits.box_high_m)
     low, high = arm.limits_rad[:, 0] - 1e-6, arm.limits_rad[:, 1] + 1e-6
     checks = (
@@ -275,12 +278,10 @@ def _one_arm(arm: ArmModel, n: int, seed: Tuple[int, int], progress: Progress) -
         deadline_s = None if target.deadline_s is None else 100.0 + target.deadline_s
         begun_s = time.perf_counter()
         path: Optional[CheckedPath] = None
-        try:
+        with contextlib.suppress(MotionRefused):
             path = check_path(
                 arm, start, target.joints_rad, target.duration_s, None, 100.0, deadline_s
             )
-        except MotionRefused:
-            pass
         spent_s += time.perf_counter() - begun_s
         if path is not None:
             n_accepted += 1

@@ -1,4 +1,7 @@
-"""Inverse kinematics: time against a frame, and how exactly FK(IK(p)) returns to p. Source: ours."""
+"""Inverse kinematics: time against a frame, and how exactly FK(IK(p)) returns to p.
+
+Source: ours.
+"""
 
 import math
 import time
