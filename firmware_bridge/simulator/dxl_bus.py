@@ -184,8 +184,9 @@ class DxlBus(RegisterBus):
         frames = []
         for servo_id in message.servo_ids:
             for member in self.hearing(servo_id, BROADCAST):
-                data = member.read(message.address, message.n_bytes)
-                frames.append((member, _status(member, 0, data)))
+                if member.answers(is_read=True):
+                    data = member.read(message.address, message.n_bytes)
+                    frames.append((member, _status(member, 0, data)))
         self.answer_in_turn(frames)
 
 
