@@ -20,8 +20,12 @@ from firmware_bridge.simulator.register_bus import RegisterBus, RegisterServo
 from firmware_bridge.simulator.servo import SimServo
 
 FAILED, DATA_RANGE, DATA_LIMIT, ACCESS = 1, 4, 6, 7  # error numbers of a status
-_BITS = {ServoFlag.VOLTAGE: 1, ServoFlag.OVERHEAT: 4, ServoFlag.OVERCURRENT: 16,
-         ServoFlag.STALL: 32}  # fmt: skip
+_BITS = (
+    (int(ServoFlag.VOLTAGE), 1),
+    (int(ServoFlag.OVERHEAT), 4),
+    (int(ServoFlag.OVERCURRENT), 16),
+    (int(ServoFlag.STALL), 32),
+)
 _TIME_BASED = 4  # bit of the drive mode
 
 
@@ -89,8 +93,8 @@ class DxlServo(RegisterServo):
 
     def _watch(self) -> None:
         """Keep what is wrong; some of it switches the torque off until a reboot."""
-        flags = self.servo.flags
-        self._errors |= sum(bit for flag, bit in _BITS.items() if flags & flag)
+        flags = int(self.servo.flags)
+        self._errors |= sum(bit for flag, bit in _BITS if flags & flag)
         if self._is_shut_down and self.servo.is_torque_on:
             self.servo.is_torque_on = False
 
