@@ -5,7 +5,7 @@ switched on lets the servo go to the goal it holds, however old.
 Source: vendor manual and memory table.
 """
 
-from typing import Sequence
+from typing import Callable, Dict, Sequence
 
 from firmware_bridge.codec import sts
 from firmware_bridge.codec.protocol import ServoFlag
@@ -76,17 +76,15 @@ class StsServo(RegisterServo):
             self.go()
         return 0
 
-    def refresh_own(self) -> None:
-        """Bring position, speed, current and state up to date."""
+    def live(self) -> Dict[str, Callable[[], float]]:
+        """Return which registers tell its state, and what they tell now."""
         servo = self.servo
-        for name, value in (
-            ("present_position", self.measured()),
-            ("present_speed", servo.speed_ticks_s),
-            ("present_current", servo.current_ma / _MA_PER_UNIT),
-        ):
-            low, high = REGISTERS[name].range
-            self.set(name, min(max(int(round(value)), low), high))
-        self.set("status", self.state)
+        own: Dict[str, Callable[[], float]] = {
+            "present_speed": lambda: servo.speed_ticks_s,
+            "present_current": lambda: servo.current_ma / _MA_PER_UNIT,
+            "status": lambda: self.state,
+        }
+        return {**super().live(), **own}
 
     def _centre_here(self) -> None:
         """Choose the offset so that the shaft stands at the middle from now on."""
