@@ -4,6 +4,7 @@ from firmware_bridge.codec import dxl2, dxl2_frame
 from firmware_bridge.codec.dxl2 import Dxl2
 from firmware_bridge.codec.protocol import Quantity, ServoFlag, ServoTarget
 from firmware_bridge.simulator.dxl_bus import ACCESS, DATA_LIMIT, DATA_RANGE, FAILED, DxlBus
+from firmware_bridge.simulator.physics import PHYSICS
 from firmware_bridge.simulator.servo import SimServo
 
 SPEAKS = Dxl2()
@@ -116,6 +117,19 @@ def test_overheating_switches_off_until_a_reboot_and_alerts_in_every_answer(bus)
     send(bus, dxl2.Reboot(1))
     bus.step(1.0)
     assert send(bus, dxl2.Write(1, 64, b"\x01")) == [dxl2.Status(1, 0)]
+
+
+def test_a_stalled_servo_goes_limp_by_itself():
+    servo = SimServo(1, 2048, (0, 4095), 3000.0, physics=PHYSICS["dxl2"])
+    servo.supply_mv = 12000.0
+    bus = DxlBus([servo])
+    servo.block_ticks = (1900.0, 2200.0)
+    send(bus, *SPEAKS.move([ServoTarget(1, 4000)], 0))
+    for _ in range(200):
+        bus.step(0.01)
+    assert not servo.is_torque_on
+    assert ask(bus, Quantity.FLAGS, 1) == {1: (int(ServoFlag.STALL),)}
+    assert ask(bus, Quantity.TORQUE, 1) == {1: (0,)}
 
 
 def test_a_prepared_write_waits_for_the_action(bus):
