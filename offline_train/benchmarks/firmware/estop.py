@@ -26,7 +26,7 @@ SUITE = "estop"
 N_STOPS = 200
 LIMIT_MS = 2.0
 _N_MOVERS = _N_READERS = 4
-_N_QUEUED = 10  # moves in each list
+_N_QUEUED = 3  # moves in each list
 _LET_RUN_S = (0.01, 0.03)
 _POLL_S = 0.0002
 _MOVE_MS = 2000
