@@ -147,8 +147,9 @@ class Bus:
 
         A damaged frame may have moved another servo: when one of the targets did not arrive at
         once, the others that were moved before are asked too, and one that was told something else
-        is in the answer as MISMATCH; nothing is sent to it. Where a protocol tells positions but no
-        targets, the comparison comes after the move's end, and this call lasts as long.
+        is in the answer as MISMATCH; nothing is sent to it. Frames without a checksum are not sent
+        again: what a damaged one did must not be papered over. Where a protocol tells positions but
+        no targets, the comparison comes after the move's end, and this call lasts as long.
 
         Raises
         ------
@@ -168,6 +169,7 @@ class Bus:
         others = {i: ticks for i, ticks in others.items() if i not in wanted}
         verdicts = {servo_id: Verdict.CONFIRMED for servo_id in wanted}
         left, n_sent, is_over = list(targets), 1, False
+        n_most = self.settings.n_move_tries if self.protocol.is_checked else 1
         while left and not is_over:
             if compare is Quantity.POSITION:
                 self._let_pass(duration_ms / 1000.0 + self.settings.settle_s, mark)
@@ -175,7 +177,7 @@ class Bus:
             verdicts.update(found)
             left = [t for t in left if found[t.servo_id] is not Verdict.CONFIRMED]
             is_over = self._is_overtaken(mark) or self._n_moves != n_moves
-            if not left or is_over or n_sent >= self.settings.n_move_tries:
+            if not left or is_over or n_sent >= n_most:
                 break
             n_sent += 1
             self.stats.retries += 1
@@ -214,8 +216,6 @@ class Bus:
             if is_mine:
                 self._take_unasked()
 
-    # -- writing ------------------------------------------------------------------------------
-
     def _mark(self) -> Tuple[int, int]:
         return self._n_stops, self._wire.n_urgent
 
@@ -248,8 +248,6 @@ class Bus:
                 if left_s > 0.0:
                     self.link.wait_readable(min(_SLICE_S, left_s))
                     self._take_unasked()
-
-    # -- asking -------------------------------------------------------------------------------
 
     def _read_back(
         self, quantity: Quantity, wanted: Mapping[int, int], others: Mapping[int, int]
@@ -362,8 +360,6 @@ class Bus:
             if not matched and not self._note_report(frame):
                 self.stats.foreign += 1
         return found
-
-    # -- hearing ------------------------------------------------------------------------------
 
     def _hear(self, end_s: float) -> List[bytes]:
         """Wait a little for bytes; return the frames they complete."""

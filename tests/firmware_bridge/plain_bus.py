@@ -97,6 +97,12 @@ class PlainNoTarget(Plain):
     quantities = frozenset({Quantity.POSITION})
 
 
+class PlainUnchecked(Plain):
+    """The same, as if nothing said whether a frame is damaged."""
+
+    is_checked = False
+
+
 class PlainBlind(Plain):
     """The same with nothing to read at all."""
 

@@ -9,6 +9,7 @@ from plain_bus import (
     PlainBlind,
     PlainNoTarget,
     PlainServos,
+    PlainUnchecked,
     frame,
     number,
 )
@@ -274,6 +275,13 @@ def test_without_targets_to_read_the_position_is_compared_after_the_move():
     line.commands = [lambda data: b"", *[None] * 9]
     assert bus.move([ServoTarget(1, 500)], 100) == {1: Verdict.CONFIRMED}
     assert line.servos.servos[1].target == 500
+
+
+def test_a_frame_without_a_checksum_is_not_sent_again():
+    bus, line = make(PlainUnchecked())
+    line.commands = [lambda data: b""]
+    assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.MISMATCH}
+    assert moves(line) == []
 
 
 def test_a_protocol_without_feedback_says_that_it_cannot_tell():
