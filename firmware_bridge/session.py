@@ -16,7 +16,7 @@ from typing import Callable, Dict, Optional
 import numpy as np
 
 from apex_edge.types import Array
-from firmware_bridge.codec import rrc
+from firmware_bridge.codec import rrc, rrc_frames
 from firmware_bridge.errors import LinkLost, MotionRefused, NotArmed, ProtocolError
 from firmware_bridge.guard import CheckedPath, Limits, check_path
 from firmware_bridge.kinematics import ArmModel
@@ -90,7 +90,7 @@ class ArmSession:
         self._limits = limits if limits is not None else Limits()
         self._lock = threading.RLock()
         self._state = SessionState.CLOSED
-        self._parser = rrc.RrcParser()
+        self._parser = rrc_frames.host_parser()
         self._pose = np.full(arm.n_joints, np.nan)
         self._path: Optional[CheckedPath] = None
         self._path_s = 0.0
@@ -119,7 +119,7 @@ class ArmSession:
         """
         with self._lock:
             self._link.open()
-            self._parser = rrc.RrcParser()
+            self._parser = rrc_frames.host_parser()
             if self._state not in (SessionState.FAULT, SessionState.ESTOP):
                 self._enter(SessionState.CONNECTED)
 
