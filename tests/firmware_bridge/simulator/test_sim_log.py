@@ -32,6 +32,7 @@ def talk(wire, setup, seed, n_turns=60):
     rng = random.Random(seed)
     speech = protocol(setup.protocol)
     low, high = speech.ticks
+    quantity = Quantity.POSITION if speech.has_feedback else Quantity.TARGET
     now_s = 0.0
     wire.advance(now_s)
     for frame in speech.torque(DEFAULT_IDS, True):
@@ -39,7 +40,7 @@ def talk(wire, setup, seed, n_turns=60):
     for _ in range(n_turns):
         targets = [ServoTarget(one, rng.randint(low, high), 2000) for one in DEFAULT_IDS]
         frames = list(speech.move(targets, rng.randint(20, 400)))
-        frames += [query.frame for query in speech.query(Quantity.POSITION, DEFAULT_IDS)]
+        frames += [query.frame for query in speech.query(quantity, DEFAULT_IDS)]
         frames += list(speech.stop(targets)) if rng.random() < 0.2 else []
         for frame in frames:
             wire.host_sent(frame, now_s)
