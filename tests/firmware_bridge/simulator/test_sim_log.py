@@ -3,6 +3,8 @@
 import io
 import json
 import random
+import subprocess
+import sys
 
 import pytest
 from lx_frames import Bus, move
@@ -144,3 +146,12 @@ def test_every_protocol_has_a_firmware_at_its_own_baud(name):
 def test_unknown_protocol_is_refused_with_those_there_are():
     with pytest.raises(ProtocolError, match="lx16a"):
         firmware("morse")
+
+
+def test_simulator_needs_nothing_but_the_standard_library():
+    code = (
+        "import sys; sys.modules.update(numpy=None, cv2=None, serial=None, tomli=None, cattrs=None);"
+        "from firmware_bridge.simulator.make import FAMILIES, Setup;"
+        "[Setup(name).firmware().step(0.01) for name in FAMILIES]"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
