@@ -150,7 +150,7 @@ def test_unknown_protocol_is_refused_with_those_there_are():
 
 def test_simulator_needs_nothing_but_the_standard_library():
     code = (
-        "import sys; sys.modules.update(numpy=None, cv2=None, serial=None, tomli=None, cattrs=None);"
+        "import sys; sys.modules.update(numpy=None, cv2=None, serial=None, tomli=None);"
         "from firmware_bridge.simulator.make import FAMILIES, Setup;"
         "[Setup(name).firmware().step(0.01) for name in FAMILIES]"
     )
