@@ -1,7 +1,7 @@
 """The LSC / xArm board under test, beside the xarm package."""
 
 import random
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from firmware_bridge.codec import lsc
 from firmware_bridge.simulator.base import Firmware
@@ -11,7 +11,7 @@ from offline_train.benchmarks.firmware import peers
 from offline_train.benchmarks.firmware.kit import Kit, Vector
 
 LIMITS = (200, 800)
-_VECTORS = (
+_VECTORS: Tuple[Tuple[str, Union[lsc.ToBoard, lsc.FromBoard], str], ...] = (
     ("id 1 to 500", lsc.Move(1000, ((1, 500),)), "55 55 08 03 01 E8 03 01 F4 01"),
     (
         "three servos",
@@ -87,7 +87,7 @@ def vectors() -> Sequence[Vector]:
 def random_message(rng: random.Random) -> lsc.ToBoard:
     """Make any message to the board."""
     ids = rng.sample(range(1, 254), rng.randint(1, lsc.MAX_SERVOS))
-    makers = (
+    makers: Tuple[Callable[[], lsc.ToBoard], ...] = (
         lambda: lsc.Move(rng.randint(0, 30000), tuple((i, rng.randint(0, 1000)) for i in ids)),
         lambda: lsc.Unload(tuple(ids)),
         lambda: lsc.PositionRequest(tuple(ids)),
@@ -96,22 +96,20 @@ def random_message(rng: random.Random) -> lsc.ToBoard:
         lsc.GroupStop,
         lambda: lsc.GroupSpeed(rng.randint(0, 255), rng.randint(1, 1000)),
     )
-    message: lsc.ToBoard = rng.choice(makers)()
-    return message
+    return rng.choice(makers)()
 
 
 def random_answer(rng: random.Random) -> lsc.FromBoard:
     """Make any message to the host."""
     ids = rng.sample(range(1, 254), rng.randint(1, lsc.MAX_SERVOS))
-    makers = (
+    makers: Tuple[Callable[[], lsc.FromBoard], ...] = (
         lambda: lsc.Positions(tuple((i, rng.randint(-100, 1100)) for i in ids)),
         lambda: lsc.Battery(rng.randint(0, 20000)),
         lambda: lsc.GroupRun(rng.randint(0, 255), rng.randint(0, 0xFFFF)),
         lsc.GroupStop,
         lambda: lsc.GroupComplete(rng.randint(0, 255), rng.randint(0, 0xFFFF)),
     )
-    message: lsc.FromBoard = rng.choice(makers)()
-    return message
+    return rng.choice(makers)()
 
 
 def random_command(rng: random.Random) -> Tuple[bytes, Optional[bytes]]:

@@ -6,7 +6,7 @@ description, field by field, with crcmod's checksum.
 
 import random
 import struct
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from firmware_bridge.codec import rrc, rrc_frames
 from firmware_bridge.simulator.base import Firmware
@@ -74,7 +74,7 @@ def random_message(rng: random.Random) -> rrc.ToBoard:
     duration_ms, one = rng.randint(0, 30000), ids[0]
     low = rng.randint(0, 999)
     low_mv = rng.randint(4500, 11999)
-    makers = (
+    makers: Tuple[Callable[[], rrc.ToBoard], ...] = (
         lambda: rrc.PwmMove(duration_ms, tuple((i, rng.randint(500, 2500)) for i in ids)),
         lambda: rrc.PwmMoveOne(duration_ms, one, rng.randint(500, 2500)),
         lambda: rrc.PwmPositionRequest(one),
@@ -93,8 +93,7 @@ def random_message(rng: random.Random) -> rrc.ToBoard:
         lambda: rrc.BusVinLimits(one, low_mv, rng.randint(low_mv + 1, 12000)),
         lambda: rrc.BusTempLimit(one, rng.randint(50, 100)),
     )
-    message: rrc.ToBoard = rng.choice(makers)()
-    return message
+    return rng.choice(makers)()
 
 
 def random_answer(rng: random.Random) -> rrc.FromBoard:
@@ -104,15 +103,14 @@ def random_answer(rng: random.Random) -> rrc.FromBoard:
     code = rrc.BUS_READS[what]
     values = struct.unpack(code, bytes(rng.randrange(256) for _ in range(struct.calcsize(code))))
     turns = struct.unpack("<6f", struct.pack("<6f", *(rng.uniform(-20, 20) for _ in range(6))))
-    makers = (
+    makers: Tuple[Callable[[], rrc.FromBoard], ...] = (
         lambda: rrc.PwmPosition(one, rng.randint(500, 2500)),
         lambda: rrc.PwmOffsetReply(one, rng.randint(-100, 100)),
         lambda: rrc.BusReply(one, what, rng.random() < 0.8, values),
         lambda: rrc.Battery(rng.randint(0, 0xFFFF)),
         lambda: rrc.Imu(*turns),
     )
-    message: rrc.FromBoard = rng.choice(makers)()
-    return message
+    return rng.choice(makers)()
 
 
 def random_command(rng: random.Random) -> Tuple[bytes, Optional[bytes]]:
