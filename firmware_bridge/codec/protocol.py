@@ -81,6 +81,7 @@ class ServoProtocol(ABC):
     is_checked: ClassVar[bool]  # frames carry a checksum
     has_feedback: ClassVar[bool]  # positions can be measured
     acks_writes: ClassVar[bool] = False
+    is_half_duplex: ClassVar[bool] = True  # an answer and a write at once destroy each other
     max_duration_ms: ClassVar[int] = 30000
     quantities: ClassVar[FrozenSet[Quantity]]
 
