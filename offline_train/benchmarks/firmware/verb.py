@@ -23,6 +23,7 @@ SUITES = (
     "vectors",
     "fuzz",
     "resync",
+    "parser_speed",
     "corruption",
     "reads",
     "noisy_moves",
@@ -33,6 +34,7 @@ SUITES = (
     "servo_faults",
     "throughput",
     "kinematics",
+    "guard_cases",
 )
 SHORT = 0.01
 
