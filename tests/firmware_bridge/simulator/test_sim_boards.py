@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_bridge.codec import lsc, lx, rrc, rrc_frames
-from firmware_bridge.simulator.lsc_board import LscBoard
+from firmware_bridge.simulator.lsc_board import LscBoard, LscPwmBoard
 from firmware_bridge.simulator.rrc_board import RrcBoard, RrcBusBoard
 from firmware_bridge.simulator.servo import SimServo
 
@@ -110,6 +110,15 @@ def test_lsc_ignores_groups_it_does_not_have(board):
     assert told(board, lsc.GroupRun(9, 1)) == []
     run(board, 1.0)
     assert told(board) == []
+
+
+def test_lsc_with_pwm_servos_takes_pulses_and_measures_nothing():
+    board = LscPwmBoard(servos(1, at=1500, ticks=(500, 2500)))
+    assert told(board, lsc.Move(0, ((1, 2000),)), lsc.PositionRequest((1,))) == []
+    run(board, 0.5)
+    assert board.servos[0].measured == 2000
+    told(board, lsc.Move(0, ((1, 100),)))
+    assert board.commanded == {1: 500}
 
 
 def test_rrc_bus_servos_move_stop_and_are_measured(rrc_board):
