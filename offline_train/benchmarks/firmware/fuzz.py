@@ -83,7 +83,7 @@ def _queries(speech: ServoProtocol) -> List[Query]:
 def _random_bytes(kit: Kit, n_bytes: int, n_held: int, rng: random.Random) -> List[Line]:
     parsers = (kit.host_parser(), kit.device_parser())
     expected = [n_bytes / 2 * _false_rate(kit, parser, rng) for parser in parsers]
-    for _ in range(max(n_bytes // 2 // _CHUNK, 1)):
+    for _ in range(-(-n_bytes // (2 * _CHUNK))):
         for parser in parsers:
             parser.feed(rng.getrandbits(8 * _CHUNK).to_bytes(_CHUNK, "little"))
             n_held = max(n_held, parser.n_held)

@@ -34,7 +34,8 @@ def talk(wire, setup, seed, n_turns=60):
     rng = random.Random(seed)
     speech = protocol(setup.protocol)
     low, high = speech.ticks
-    quantity = Quantity.POSITION if speech.has_feedback else Quantity.TARGET
+    asked = (Quantity.POSITION, Quantity.TARGET, Quantity.VOLTAGE)
+    quantity = next(one for one in asked if one in speech.quantities)
     now_s = 0.0
     wire.advance(now_s)
     for frame in speech.torque(DEFAULT_IDS, True):
