@@ -24,7 +24,12 @@ class Program:
         command = [sys.executable, "-m", "apex_edge.cli", "sim-arm", "--protocol", name]
         command += ["--link", str(self.link), *options]
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            universal_newlines=True,
+            # a test run in the background of a shell has SIGINT switched off, and hands that down
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
 
     def __enter__(self):
