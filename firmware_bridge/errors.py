@@ -12,6 +12,7 @@
     +-- NotArmed          the session is not in a state that may do this
     +-- NoReply           a servo or board that did not answer within its retry budget
     +-- HandshakeFailed   the servos on the bus are not those of the arm's file
+    +-- SimulatorFileError  a fault script or log that the simulator cannot use
 """
 
 from apex_edge.errors import ArmError
@@ -69,3 +70,9 @@ class HandshakeFailed(ArmError):  # noqa: N818 - says what happened
     """Refuse to arm: the servos on the bus are not those of the arm's file and calibration."""
 
     slug = "arm-handshake"
+
+
+class SimulatorFileError(ArmError):
+    """Refuse a fault script or a log that the simulated firmware cannot use."""
+
+    slug = "arm-simulator-file"

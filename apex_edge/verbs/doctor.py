@@ -355,7 +355,7 @@ def check_arm(config: Any) -> List[Check]:
         return [Check("arm", FAIL, str(error))]
     is_path = config.port not in ("", "sim") and "://" not in config.port
     if is_path and not Path(config.port).exists():
-        found = ", ".join(ports()) or "none"
+        found = ", ".join(str(port) for port in ports()) or "none"
         checks.append(Check("arm port", FAIL, f"{config.port}: not there; ports found: {found}"))
     return checks
 

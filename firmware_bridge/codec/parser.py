@@ -65,7 +65,7 @@ class Parser:
                 is_fresh = False
                 at = at + 1 if behind and behind != header else done
             start = buffer.find(header, at)
-            if start < 0:
+            if start < 0 or start == len(buffer):  # the latter where frames have no header
                 at = max(at, len(buffer) - (0 if is_final else self._n_partial()))
                 break
             n_frame = measure(buffer, start)

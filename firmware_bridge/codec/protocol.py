@@ -81,6 +81,7 @@ class ServoProtocol(ABC):
     is_checked: ClassVar[bool]  # frames carry a checksum
     has_feedback: ClassVar[bool]  # positions can be measured
     acks_writes: ClassVar[bool] = False
+    is_half_duplex: ClassVar[bool] = True  # an answer and a write at once destroy each other
     max_duration_ms: ClassVar[int] = 30000
     quantities: ClassVar[FrozenSet[Quantity]]
 
@@ -127,6 +128,13 @@ class ServoProtocol(ABC):
 
         Id, command and length must all fit; a stale or foreign frame is no answer.
         """
+
+    def n_ack(self, frame: bytes) -> int:
+        """Return how many bytes acknowledge a written frame; 0 when nothing comes back.
+
+        On a half-duplex line nothing may be written before they are in.
+        """
+        return 0
 
     def report(self, frame: bytes) -> Tuple[Tuple[Quantity, Reply], ...]:
         """Return what an unsolicited frame reports; () when it reports nothing known."""

@@ -42,6 +42,17 @@ class Link(ABC):
         LinkLost : the link is closed, went away, or took no byte within the time-out.
         """
 
+    def idle_in_s(self) -> float:
+        """Return how long the bytes written so far still need to leave, 0 when the line is free.
+
+        Who waits for 0 before a write never has more than one frame in the system's buffer.
+        """
+        return 0.0
+
+    def mark_idle(self) -> None:
+        """Say that all bytes written have arrived, as an answer to them proves."""
+        return
+
     @abstractmethod
     def read_available(self) -> bytes:
         """Return the bytes that wait, without blocking.

@@ -13,12 +13,13 @@ from apex_edge.types import Array
 from firmware_bridge.codec import rrc
 from firmware_bridge.errors import ProtocolError
 from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US, ArmModel
+from firmware_bridge.simulator.base import Firmware
 
 _SUB_STEP_S = 0.005
 _BATTERY_EVERY_S = 1.0
 
 
-class RrcFirmware:
+class RrcFirmware(Firmware):
     """The board of one arm: bytes in, bytes out, simulated servo angles.
 
     It does what stock firmware does: drops frames whose CRC is wrong, ignores servos it does not
@@ -38,6 +39,7 @@ class RrcFirmware:
         self.n_rejected = 0
         self.n_clamped = 0
         self.t_s = 0.0
+        self.baud = 1_000_000
         pose = arm.home_rad if at_rad is None else np.asarray(at_rad, dtype=np.float64)
         self._actual_us = np.append(arm.ticks(pose), arm.gripper.closed_ticks).astype(np.float64)
         self._start_us = self._actual_us.copy()
