@@ -110,6 +110,7 @@ setup(
             "table = calib.verbs.table",
             "hand-eye = calib.verbs.hand_eye",
             "servo = calib.verbs.servo",
+            "travel = calib.verbs.travel",
             "latency = calib.verbs.latency",
         ],
         "apex_edge.benches": [

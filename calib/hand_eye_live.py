@@ -18,18 +18,18 @@ from calib.boards import Board, require_origin
 from calib.csv_rows import read_numbers
 from calib.detect import detect
 from calib.hand_eye_checks import MIN_POSES, motion_of
-from calib.moving import RATE_SHARE, may_go
+from calib.moving import RATE_SHARE, may_go, room
 from calib.planar_pose import two_poses
 from calib.pose_pairs import PosePairs
 from calib.rigid import angle_between_rad, inverse
 from calib.verdict import judge
-from firmware_bridge.guard import Limits, check_path
+from firmware_bridge.guard import check_path
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.ready import ReadyArm
 
 Detector = Callable[[Array], Optional[Array]]
 """Takes a picture (h, w, 3), returns cam_from_target (4, 4) or None when it sees no target."""
-ROOM = Limits(min_tip_z_m=0.04, min_link_z_m=0.03)
+_TIP_Z_M, _LINK_Z_M = 0.04, 0.03  # room over the table, for the board lies on it
 _N_TRIED = 6000
 _NEAREST_M, _FARTHEST_M = 0.08, 0.30
 _MAX_OFF_RAD = np.radians(25.0)  # cameras see about 30 degrees to each side
@@ -53,7 +53,8 @@ def auto_poses(arm: ArmModel, aim_m: Array, rng: np.random.RandomState, n_poses:
     distance = np.linalg.norm(away, axis=1)
     off = np.arccos(np.clip((away * pose[:, :3, 0]).sum(axis=1) / distance, -1.0, 1.0))
     is_good = (off <= _MAX_OFF_RAD) & (distance >= _NEAREST_M) & (distance <= _FARTHEST_M)
-    able = [q for q in joints[is_good] if may_go(arm, arm.home_rad, q, ROOM)]
+    limits = room(arm, _TIP_Z_M, _LINK_Z_M)
+    able = [q for q in joints[is_good] if may_go(arm, arm.home_rad, q, limits)]
     if len(able) < MIN_POSES:
         raise CalibrationError(
             f"the arm can look at {np.round(aim_m, 3).tolist()} m from {len(able)} of {_N_TRIED} "
@@ -110,7 +111,7 @@ def check_poses(arm: ArmModel, joints_rad: Array) -> float:
     before = np.vstack([arm.home_rad, joints_rad])
     duration_s = np.array([arm.travel_time_s(a, b[None])[0] for a, b in zip(before, goals)])
     slow_s = np.maximum(duration_s / RATE_SHARE, 0.2)
-    check_path(arm, arm.home_rad, goals, slow_s, ROOM)
+    check_path(arm, arm.home_rad, goals, slow_s, room(arm, _TIP_Z_M, _LINK_Z_M))
     return float(slow_s.sum()) + len(goals) * 1.0
 
 
@@ -171,12 +172,16 @@ def _towards(arm: ArmModel, aim_m: Array, rng: np.random.RandomState) -> Array:
     low, high = arm.limits_rad[:, 0], arm.limits_rad[:, 1]
     margin = 0.02 * (high - low)
     joints = rng.uniform(low + margin, high - margin, (_N_TRIED, arm.n_joints))
-    joints[:, 0] = np.arctan2(aim_m[1], aim_m[0]) + rng.uniform(-0.8, 0.8, _N_TRIED)
+    axis = np.array(arm.links.axis_m)
+    aim = aim_m[:2] - axis
+    turned = np.arctan2(aim[1], aim[0]) + rng.uniform(-0.8, 0.8, _N_TRIED)
+    joints[:, 0] = arm.signs[0] * turned
     wrist = arm.forward(joints)[:, 2]
-    ahead = wrist[:, 0] * np.cos(joints[:, 0]) + wrist[:, 1] * np.sin(joints[:, 0])
-    pitch = np.arctan2(aim_m[2] - wrist[:, 2], float(np.hypot(*aim_m[:2])) - ahead)
+    ahead = (wrist[:, 0] - axis[0]) * np.cos(turned) + (wrist[:, 1] - axis[1]) * np.sin(turned)
+    pitch = np.arctan2(aim_m[2] - wrist[:, 2], float(np.hypot(*aim)) - ahead)
     pitch += rng.uniform(-_MAX_OFF_RAD, _MAX_OFF_RAD, _N_TRIED)
-    joints[:, 3] = pitch - joints[:, 1] + joints[:, 2]
+    joints[:, 3] = 0.0
+    joints[:, 3] = arm.signs[3] * (pitch - arm.pitches(joints)[:, 2])
     inside = ((joints >= low + margin) & (joints <= high - margin)).all(axis=1)
     drawn: Array = joints[inside]
     return drawn
@@ -195,10 +200,11 @@ def _most_different(arm: ArmModel, joints: Array, n_poses: int) -> Array:
 
 def _in_order(arm: ArmModel, joints: Array) -> Array:
     """Return the poses that can be reached one from another; all can from and to home."""
+    limits = room(arm, _TIP_Z_M, _LINK_Z_M)
     kept: List[Array] = [joints[0]]
     for goal in joints[1:]:
-        if may_go(arm, kept[-1], goal, ROOM):
+        if may_go(arm, kept[-1], goal, limits):
             kept.append(goal)
-    while not may_go(arm, kept[-1], arm.home_rad, ROOM):
+    while not may_go(arm, kept[-1], arm.home_rad, limits):
         kept.pop()
     return np.array(kept)

@@ -4,6 +4,7 @@ Source: ours.
 """
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,10 +17,20 @@ from firmware_bridge.kinematics import ArmModel
 RATE_SHARE = 0.15  # of the arm's rates, for every calibration
 
 
-def may_go(arm: ArmModel, start_rad: Array, goal_rad: Array, room: Limits) -> bool:
+def room(arm: ArmModel, tip_z_m: float, link_z_m: float) -> Limits:
+    """Return the arm's workspace with more air over the table, for tip and links."""
+    own = arm.workspace
+    return replace(
+        own,
+        min_tip_z_m=max(own.min_tip_z_m, tip_z_m),
+        min_link_z_m=max(own.min_link_z_m, link_z_m),
+    )
+
+
+def may_go(arm: ArmModel, start_rad: Array, goal_rad: Array, limits: Limits) -> bool:
     """Say whether the way between two poses (k,) keeps the limits."""
     try:
-        check_path(arm, start_rad, goal_rad[None], np.array([1.0]), room)
+        check_path(arm, start_rad, goal_rad[None], np.array([1.0]), limits)
     except MotionRefused:
         return False
     return True

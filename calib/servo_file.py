@@ -7,10 +7,10 @@ import numpy as np
 from apex_edge import documents
 from apex_edge.types import Array
 from calib.servo import ServoFit
-from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US, ArmModel
+from firmware_bridge.kinematics import ArmModel
 
 FORMAT = "apex-servo"
-VERSION = 1
+VERSION = 2  # 1 had zero_us and us_per_rad, for PWM servos alone
 
 
 def servo_document(
@@ -21,8 +21,8 @@ def servo_document(
         {
             "servo_id": fit.servo_id,
             "joint": joint_of(fit.servo_id, arm),
-            "zero_us": fit.zero_us,
-            "us_per_rad": fit.us_per_rad,
+            "zero_ticks": fit.zero_ticks,
+            "ticks_per_rad": fit.ticks_per_rad,
             "backlash_deg": None if np.isnan(fit.backlash_deg) else fit.backlash_deg,
         }
         for fit in fits
@@ -46,24 +46,27 @@ def toml_lines(fits: Sequence[ServoFit], arm: ArmModel) -> List[str]:
         lines += [f"[joints.{joint}]" if joint else "# no joint of the arm has this servo"]
         lines += [
             f"servo_id = {fit.servo_id}",
-            f"zero_ticks = {fit.zero_us:.1f}",
-            f"ticks_per_rad = {fit.us_per_rad:.1f}",
+            f"zero_ticks = {fit.zero_ticks:.1f}",
+            f"ticks_per_rad = {fit.ticks_per_rad:.1f}",
             "offset_ticks = 0.0",
         ]
         if joint:
-            lines += _limit_lines(fit, arm.limits_rad[arm.servo_ids.index(fit.servo_id)])
+            lines += _limit_lines(fit, arm)
     return lines
 
 
-def _limit_lines(fit: ServoFit, limits_rad: Array) -> List[str]:
-    """Return narrower joint limits where the servo's pulses do not reach the present ones."""
-    zero_us, us_per_rad = round(fit.zero_us, 1), round(fit.us_per_rad, 1)
-    reach = np.sort((np.array([PULSE_MIN_US, PULSE_MAX_US]) - zero_us) / us_per_rad)
+def _limit_lines(fit: ServoFit, arm: ArmModel) -> List[str]:
+    """Return narrower joint limits where the servo does not reach the present ones."""
+    limits_rad: Array = arm.limits_rad[arm.servo_ids.index(fit.servo_id)]
+    zero_ticks, ticks_per_rad = round(fit.zero_ticks, 1), round(fit.ticks_per_rad, 1)
+    reach = np.sort((np.array(arm.tick_range) - zero_ticks) / ticks_per_rad)
     narrow = np.clip(limits_rad, *reach)
     lines = []
     for name, before, after in zip(("low_rad", "high_rad"), limits_rad, narrow):
-        if abs(after - before) * abs(us_per_rad) >= 0.5:
-            # toward zero, so that the rounded limit is still within the pulses
+        if abs(after - before) * abs(ticks_per_rad) >= 0.5:
+            # toward zero, so that the rounded limit is still within the ticks
             inside = np.trunc(after * 1e4) / 1e4
-            lines.append(f"{name} = {inside:.4f}  # was {before:.4f}, which no pulse reaches")
+            lines.append(
+                f"{name} = {inside:.4f}  # was {before:.4f}, which the servo does not reach"
+            )
     return lines

@@ -9,13 +9,11 @@ import numpy as np
 
 from apex_edge.errors import CalibrationError, ConfigError
 from apex_edge.types import Array
-from calib.moving import RATE_SHARE, may_go
+from calib.moving import RATE_SHARE, may_go, room
 from calib.servo import ServoSamples
-from firmware_bridge.guard import Limits
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.ready import ReadyArm
 
-ROOM = Limits(min_tip_z_m=0.02, min_link_z_m=0.02)
 _N_ANGLES = 9
 _EDGE = 0.03  # of the range that is left at both ends
 Ask = Callable[[str], Optional[float]]
@@ -23,7 +21,7 @@ Ask = Callable[[str], Optional[float]]
 
 
 def poses_for(arm: ArmModel, joint: str) -> Array:
-    """Return joints (n, k) in the order of rising pulses: one joint turns, the others are home.
+    """Return joints (n, k) in the order of rising ticks: one joint turns, the others are home.
 
     Raises
     ------
@@ -38,7 +36,8 @@ def poses_for(arm: ArmModel, joint: str) -> Array:
     poses[:, at] = np.linspace(low + edge, high - edge, _N_ANGLES)
     if arm.ticks_per_rad[at] < 0.0:
         poses = poses[::-1]
-    free = np.array([may_go(arm, arm.home_rad, pose, ROOM) for pose in poses])
+    limits = room(arm, 0.02, 0.02)
+    free = np.array([may_go(arm, arm.home_rad, pose, limits) for pose in poses])
     if free.sum() < 5:
         raise CalibrationError(
             f"{joint}: only {int(free.sum())} of {_N_ANGLES} angles can be reached from home"
@@ -63,17 +62,17 @@ def collect(ready: ReadyArm, joint: str, poses: Array, ask: Ask) -> ServoSamples
     for order, is_up in ((poses[1:], True), (poses[-2::-1], False)):
         for pose in order:
             ready.go(pose, RATE_SHARE)
-            pulse_us = int(arm.ticks(ready.session.read().joints_rad)[at])
+            ticks = int(arm.ticks(ready.session.read().joints_rad)[at])
             wanted = np.degrees(pose[at])
             angle = ask(f"{joint}: meant to stand at {wanted:.0f} deg; protractor reads: ")
             if angle is not None:
-                rows.append((pulse_us, angle, is_up))
+                rows.append((ticks, angle, is_up))
     ready.go(arm.home_rad, RATE_SHARE)
     if not rows:
         raise CalibrationError("no angle was read")
-    pulses, angles, ups = zip(*rows)
+    positions, angles, ups = zip(*rows)
     n = len(rows)
     ids = np.full(n, arm.servo_ids[at])
     return ServoSamples(
-        ids, np.array(pulses, dtype=float), np.array(angles), np.array(ups), np.arange(1, n + 1)
+        ids, np.array(positions, dtype=float), np.array(angles), np.array(ups), np.arange(1, n + 1)
     )

@@ -87,7 +87,7 @@ class ArmSession:
         self.n_late_ticks = 0
         self._link = link
         self._clock = clock
-        self._limits = limits if limits is not None else Limits()
+        self._limits = limits if limits is not None else arm.workspace
         self._lock = threading.RLock()
         self._state = SessionState.CLOSED
         self._parser = rrc.RrcParser()
@@ -337,7 +337,9 @@ class ArmSession:
         """Send one set-point for all joints and the closed gripper; ``is_goal``: it stays there."""
         pulses = self.model.ticks(pose)
         targets = [(i, int(p)) for i, p in zip(self.model.servo_ids, pulses)]
-        targets.append((self.model.gripper.servo_id, self.model.gripper.closed_ticks))
+        gripper = self.model.gripper
+        if gripper is not None:
+            targets.append((gripper.servo_id, gripper.closed_ticks))
         self._send(rrc.PwmMove(max(1, math.ceil(duration_s * 1000.0 - 1e-6)), tuple(targets)))
         if is_goal:
             self._pose = np.array(pose, dtype=np.float64)

@@ -65,8 +65,7 @@ def candidate_grid(
 
 def _closest_grid(arm: ArmModel, n: int, config: CandidatesConfig) -> Array:
     """Return the reachable points (m, 2), m >= n, of the widest grid that has as many."""
-    links = arm.links
-    everywhere = _Region(0.0, links.upper_m + links.forearm_m + links.hand_m, -np.pi, np.pi)
+    everywhere = _Region(0.0, arm.links.reach_m, -np.pi, np.pi)
     coarse = _grid(arm, _FIRST_SPACING_M, everywhere, config)
     region = _around(coarse, _FIRST_SPACING_M) if len(coarse) else everywhere
     # The number goes with 1 / spacing^2: jump to a little too wide, then close in.

@@ -1,4 +1,4 @@
-"""``apex calibrate servo``: pulse <-> angle of a servo from protractor readings."""
+"""``apex calibrate servo``: position <-> angle of a servo from protractor readings."""
 
 import argparse
 import sys
@@ -18,7 +18,7 @@ from calib.verbs.outcome import Ending, check_usable, deliver, refusal_told
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.ready import ReadyArm
 
-HELP = "fit servo pulses to joint angles, in both directions"
+HELP = "fit servo positions to joint angles, in both directions"
 EXAMPLE = "apex calibrate servo --samples yaw.csv --out servo.json"
 
 
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--samples",
         type=Path,
         metavar="FILE.csv",
-        help="header, then servo_id,pulse_us,angle_deg,direction (up or down) a row",
+        help="header, then servo_id,ticks,angle_deg,direction (up or down) a row",
     )
     source.add_argument(
         "--config", type=Path, metavar="FILE", help="settings of a live arm: it will move"
@@ -53,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
         bench = Bench.read(args.config)
         arm = ArmModel.load(args.arm) if args.config is None else bench.model()
         source = args.samples if args.config is None else _collect(args, bench, arm)
-        samples = read_samples(source)
-        fits = solve(samples)
+        samples = read_samples(source, arm.tick_range)
+        fits = solve(samples, arm.tick_range)
         verdict = overall(fits)
         figures.update(verdict.plain(), servos=[fit.plain() for fit in fits])
         check_usable(verdict)
@@ -100,8 +100,9 @@ def _lines(fits: Sequence[ServoFit], arm: ArmModel) -> List[str]:
     lines: List[str] = []
     for fit in fits:
         lines.append(
-            f"servo {fit.servo_id}: {fit.verdict}; zero {fit.zero_us:.1f} +- {fit.sd_zero_us:.1f} "
-            f"us, {fit.us_per_rad:.1f} +- {fit.sd_us_per_rad:.1f} us per rad"
+            f"servo {fit.servo_id}: {fit.verdict}; "
+            f"zero {fit.zero_ticks:.1f} +- {fit.sd_zero_ticks:.1f} ticks, "
+            f"{fit.ticks_per_rad:.1f} +- {fit.sd_ticks_per_rad:.1f} ticks per rad"
         )
         lines.append(
             f"  residual up {fit.residual_up_deg:.2f}, down {fit.residual_down_deg:.2f}, left out "

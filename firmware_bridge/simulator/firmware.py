@@ -32,7 +32,7 @@ class RrcFirmware(Firmware):
         self, arm: ArmModel, at_rad: Optional[Array] = None, battery_mv: int = 7400
     ) -> None:
         self._arm = arm
-        self._ids = (*arm.servo_ids, arm.gripper.servo_id)
+        self._ids = arm.all_ids
         self._parser = rrc.RrcParser()
         self._replies = bytearray()
         self.battery_mv = battery_mv
@@ -41,13 +41,15 @@ class RrcFirmware(Firmware):
         self.t_s = 0.0
         self.baud = 1_000_000
         pose = arm.home_rad if at_rad is None else np.asarray(at_rad, dtype=np.float64)
-        self._actual_us = np.append(arm.ticks(pose), arm.gripper.closed_ticks).astype(np.float64)
+        closed = [] if arm.gripper is None else [arm.gripper.closed_ticks]
+        self._actual_us = np.append(arm.ticks(pose), closed).astype(np.float64)
         self._start_us = self._actual_us.copy()
         self._target_us = self._actual_us.copy()
         self._duration_s = np.zeros(len(self._ids))
         self._elapsed_s = np.zeros(len(self._ids))
-        gain = np.append(np.abs(arm.ticks_per_rad), np.abs(arm.ticks_per_rad).max())
-        self._rate_us_s = gain * np.append(arm.rate_rad_s, arm.rate_rad_s.max())
+        rate = np.abs(arm.ticks_per_rad) * arm.rate_rad_s
+        fastest = np.abs(arm.ticks_per_rad).max() * arm.rate_rad_s.max()
+        self._rate_us_s = np.append(rate, [fastest] * len(closed))
 
     @property
     def n_frames(self) -> int:
@@ -62,7 +64,7 @@ class RrcFirmware(Firmware):
     @property
     def joints_rad(self) -> Array:
         """True simulated joint angles (k,)."""
-        return self._arm.angles_rad(self._actual_us[:-1])
+        return self._arm.angles_rad(self._actual_us[: self._arm.n_joints])
 
     @property
     def points_m(self) -> Array:

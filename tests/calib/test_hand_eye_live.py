@@ -356,10 +356,10 @@ def test_servo_round_reads_the_joint_both_ways_and_finds_its_map(arm, bench):
     fit = solve_servo(samples)[0]
     assert fit.servo_id == 6
     assert samples.is_up.sum() == (~samples.is_up).sum() == len(poses) - 1
-    assert (np.diff(samples.pulse_us[samples.is_up]) > 0).all()
-    assert (np.diff(samples.pulse_us[~samples.is_up]) < 0).all()
-    assert fit.zero_us == pytest.approx(1500.0, abs=1.0)
-    assert fit.us_per_rad == pytest.approx(636.6, abs=1.0)
+    assert (np.diff(samples.ticks[samples.is_up]) > 0).all()
+    assert (np.diff(samples.ticks[~samples.is_up]) < 0).all()
+    assert fit.zero_ticks == pytest.approx(1500.0, abs=1.0)
+    assert fit.ticks_per_rad == pytest.approx(636.6, abs=1.0)
     assert fit.backlash_deg < 0.1
 
 
