@@ -25,6 +25,7 @@ BUILT_IN = {
     "record": "record a camera to a file that Foxglove opens",
     "replay": "run the agent over a recording or a video, without an arm",
     "run": "run the agent on a real camera and arm",
+    "sim-arm": "a simulated arm on a serial port, with faults on request",
     "train": "train the linear trigger and export its weights",
 }
 # What to install for a module that is only there with an extra.

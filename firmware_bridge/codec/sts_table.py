@@ -27,7 +27,6 @@ REGISTERS: Dict[str, Register] = {
     "min_voltage": Register(15, 1, default=40),
     "max_torque": Register(16, 2, default=1000),  # per mille
     "phase": Register(18, 1, default=12),
-    "unload_mask": Register(19, 1, default=44),  # states that switch the torque off
     "p_gain": Register(21, 1, default=32),
     "d_gain": Register(22, 1, default=32),
     "i_gain": Register(23, 1),

@@ -6,7 +6,7 @@ million commands take seconds and every run is the same.
 
 from typing import Callable
 
-from firmware_bridge.errors import LinkLost
+from firmware_bridge.errors import LinkLost, NoSuchPort
 from firmware_bridge.links.base import Link
 from firmware_bridge.simulator.base import Firmware
 
@@ -41,7 +41,14 @@ class DirectLink(Link):
         return self._is_open
 
     def open(self) -> None:
-        """Open it; what was sent before is gone."""
+        """Open it; what was sent before is gone.
+
+        Raises
+        ------
+        NoSuchPort : a fault has pulled the plug.
+        """
+        if not self._firmware.is_plugged:
+            raise NoSuchPort("direct: no such port while it is unplugged")
         self._waiting.clear()
         self._is_open = True
 
@@ -54,7 +61,7 @@ class DirectLink(Link):
 
         Raises
         ------
-        LinkLost : the link is closed.
+        LinkLost : the link is closed or unplugged.
         """
         self._check()
         self.n_bytes_out += len(data)
@@ -66,7 +73,7 @@ class DirectLink(Link):
 
         Raises
         ------
-        LinkLost : the link is closed.
+        LinkLost : the link is closed or unplugged.
         """
         self._check()
         data = bytes(self._waiting)
@@ -79,7 +86,7 @@ class DirectLink(Link):
 
         Raises
         ------
-        LinkLost : the link is closed.
+        LinkLost : the link is closed or unplugged.
         """
         self._check()
         end_s = self._firmware.t_s + timeout_s
@@ -93,5 +100,8 @@ class DirectLink(Link):
             self._waiting += self._to_host(answer)
 
     def _check(self) -> None:
+        if self._is_open and not self._firmware.is_plugged:
+            self._is_open = False
+            raise LinkLost("direct: the board was unplugged")
         if not self._is_open:
             raise LinkLost("direct: the link is not open")

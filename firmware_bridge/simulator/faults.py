@@ -81,8 +81,8 @@ class FaultScript:
     devices: Tuple[DeviceFault, ...] = ()
 
 
-def load_script(path: Union[str, Path]) -> FaultScript:
-    """Read a fault script.
+def read_json(path: Union[str, Path]) -> Mapping[str, Any]:
+    """Read a fault script and return it as JSON gives it, checked.
 
     Raises
     ------
@@ -92,7 +92,19 @@ def load_script(path: Union[str, Path]) -> FaultScript:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
         raise SimulatorFileError(f"{path}: cannot be read as JSON: {error}") from error
-    return parse_script(found, str(path))
+    parse_script(found, str(path))
+    checked: Mapping[str, Any] = found
+    return checked
+
+
+def load_script(path: Union[str, Path]) -> FaultScript:
+    """Read a fault script.
+
+    Raises
+    ------
+    SimulatorFileError : see ``read_json``.
+    """
+    return parse_script(read_json(path), str(path))
 
 
 def parse_script(found: object, name: str = "fault script") -> FaultScript:
@@ -100,7 +112,7 @@ def parse_script(found: object, name: str = "fault script") -> FaultScript:
 
     Raises
     ------
-    SimulatorFileError : see ``load_script``.
+    SimulatorFileError : see ``read_json``.
     """
     whole = _Entry(found, name)
     version = whole.take("version", None)

@@ -33,7 +33,6 @@ class _Way:
     """One direction of the line: frames in, what is left of them out when its time has come."""
 
     def __init__(self, name: str, protocol: str, script: FaultScript, seed: int) -> None:
-
         # each way has its own chance, so that it does not matter how the ways interleave
         self._rng = random.Random(f"{name} {seed}")
         self._faults = [one for one in script.line if name in one.ways]
@@ -188,16 +187,14 @@ class FaultyFirmware(Firmware):
                 return
 
     def listen(self, baud: int) -> bool:
-        """Take the line to be at ``baud``: servos at another one are deaf."""
+        """Take the line to be at ``baud``: servos that went to another one are deaf."""
         self._line_baud = baud
-        wired_baud = self.baud if self._is_board else baud  # a board keeps its servos' wire
-        is_heard = False
+        moved = [servo for servo, own in self._bauds.items() if own == baud != self.baud]
+        is_theirs = bool(moved) and not self._is_board  # a board keeps its servos' wire as it is
         for servo in self.servos:
-            servo.is_deaf = self._bauds.get(servo, self.baud) != wired_baud
-            is_heard = is_heard or not servo.is_deaf
-        if self._is_board or not self.servos:
-            return self.inner.listen(baud)
-        return is_heard
+            is_moved = self._bauds.get(servo, self.baud) != self.baud
+            servo.is_deaf = servo not in moved if is_theirs else is_moved
+        return self.inner.listen(self.baud if is_theirs else baud)
 
     def _deliver(self) -> None:
         data = self._in.due(self.t_s)
