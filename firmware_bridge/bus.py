@@ -6,7 +6,7 @@ An urgent list does not even wait for that (see ``bus_wire``).
 """
 
 import time
-from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 from firmware_bridge.bus_turns import Priority, Turns
 from firmware_bridge.bus_values import BusSettings, BusStats, Plausibility, Reading, Verdict
@@ -19,6 +19,7 @@ from firmware_bridge.links.base import Link
 __all__ = ["Bus", "BusSettings", "BusStats", "Priority", "Reading", "Verdict"]
 
 _SLICE_S = 0.002  # longest wait without a look at what became urgent
+_SILENCE_S = 0.001  # as long as this after the last byte nothing of the same answer comes
 _DEFAULT_BAUD = 1_000_000
 _BOARD = -1
 Accept = Callable[[Reply, List[Reply]], bool]
@@ -62,11 +63,13 @@ class Bus:
         self._clock = clock
         self._byte_s = 10.0 / (link.baud or protocol.baud or _DEFAULT_BAUD)
         self._turns = Turns()
-        self._wire = Wire(link, clock, self._byte_s, protocol.is_half_duplex)
+        slack_s = self.settings.slack_s
+        self._wire = Wire(link, clock, self._byte_s, slack_s, protocol.is_half_duplex)
         self._plausibility = Plausibility(protocol, self.settings)
         self._parser: Parser = protocol.parser()
-        self._n_bad_before = 0
+        self._n_bad_before = self._n_heard = 0
         self._n_stops = 0
+        self._told: Dict[int, int] = {}  # id -> ticks it was moved to, as far as that is known
 
     @property
     def is_open(self) -> bool:
@@ -90,6 +93,7 @@ class Bus:
                 self.link.open()
             self._parser, self._n_bad_before = self.protocol.parser(), 0
             self._plausibility.forget()
+            self._told = {}
             self._wire.expect_nothing()
 
     def close(self) -> None:
@@ -111,6 +115,8 @@ class Bus:
             return self.urgent(frames)
         if priority is Priority.STOP:
             self._n_stops += 1
+        if priority is not Priority.READ:
+            self._told = {}
         return self._send(frames, priority, self._mark())
 
     def read(
@@ -135,8 +141,10 @@ class Bus:
     ) -> Dict[int, Verdict]:
         """Send a move, compare what the servos say they were told, and send it again if need be.
 
-        Where a protocol tells positions but no targets, the comparison comes after the move's end,
-        and this call lasts as long.
+        A damaged frame may have moved another servo: when one of the targets did not arrive at
+        once, the others that were moved before are asked too, and one that was told something else
+        is in the answer as MISMATCH; nothing is sent to it. Where a protocol tells positions but no
+        targets, the comparison comes after the move's end, and this call lasts as long.
 
         Raises
         ------
@@ -145,21 +153,30 @@ class Bus:
         ProtocolError : no well-formed frame can carry it.
         """
         mark = self._mark()
+        others = self._told
+        self._told = {}
         self._send(self.protocol.move(targets, duration_ms), Priority.MOVE, mark)
-        verdicts = {target.servo_id: Verdict.UNVERIFIABLE for target in targets}
         compare = self._comparison()
         if compare is None or not is_verified:
-            return verdicts
+            return {target.servo_id: Verdict.UNVERIFIABLE for target in targets}
+        verdicts: Dict[int, Verdict] = {}
         left = list(targets)
         for n_sent in range(1, self.settings.n_move_tries + 1):
             if compare is Quantity.POSITION:
                 self._let_pass(duration_ms / 1000.0 + self.settings.settle_s, mark)
-            verdicts.update(self._read_back(compare, left))
+            verdicts.update(self._read_back(compare, {t.servo_id: t.ticks for t in left}))
             left = [t for t in left if verdicts[t.servo_id] is not Verdict.CONFIRMED]
             if not left or self._is_overtaken(mark) or n_sent == self.settings.n_move_tries:
                 break
             self.stats.retries += 1
             self._send(self.protocol.move(left, duration_ms), Priority.MOVE, mark)
+        told = {target.servo_id: target.ticks for target in targets}
+        others = {servo_id: ticks for servo_id, ticks in others.items() if servo_id not in told}
+        if (left or n_sent > 1) and others and not self._is_overtaken(mark):
+            found = self._read_back(compare, others)
+            verdicts.update({i: v for i, v in found.items() if v is Verdict.MISMATCH})
+        if not self._is_overtaken(mark):
+            self._told = {**others, **told}
         return verdicts
 
     def urgent(self, frames: Sequence[bytes], is_latched: bool = True) -> float:
@@ -172,6 +189,7 @@ class Bus:
         ------
         LinkLost : the link is closed or went away; the latch is set all the same.
         """
+        self._told = {}
         sent_s = self._wire.urgent(frames, is_latched)
         self.stats.sent += len(frames)
         return sent_s
@@ -209,27 +227,12 @@ class Bus:
         while at < len(frames):
             with self._turns.turn(priority):
                 while at < len(frames):
-                    self._put_and_hear(frames[at], check)
+                    self._wire.put(frames[at], 0, check)
+                    self.stats.sent += 1
                     at += 1
                     if self._turns.is_wanted_above(priority):
                         break
         return self._clock() + self.link.idle_in_s()
-
-    def _put_and_hear(self, frame: bytes, check: Callable[[], None]) -> None:
-        """Write a frame and, where servos acknowledge it, wait until they have."""
-        n_ack = self.protocol.n_ack(frame)
-        end_s = self._wire.put(frame, n_ack, check) + self.settings.slack_s
-        self.stats.sent += 1
-        if not n_ack:
-            return
-        heard: List[bytes] = []
-        while not heard and self._clock() < end_s:
-            heard = self._hear(end_s)
-        self._wire.expect_nothing()
-        if heard:
-            self.link.mark_idle()
-        else:
-            self.stats.timeouts += 1
 
     def _let_pass(self, duration_s: float, mark: Tuple[int, int]) -> None:
         """Let time pass in slices, the line free for others in between."""
@@ -249,12 +252,11 @@ class Bus:
 
         return accept
 
-    def _read_back(self, quantity: Quantity, targets: Sequence[ServoTarget]) -> Dict[int, Verdict]:
+    def _read_back(self, quantity: Quantity, wanted: Mapping[int, int]) -> Dict[int, Verdict]:
         """Compare what servos say with what they were told.
 
         A damaged answer looks like a damaged move, so only two that agree make a mismatch.
         """
-        wanted = {target.servo_id: target.ticks for target in targets}
         tolerance = self._plausibility.jump_ticks if quantity is Quantity.POSITION else 0
 
         def is_right(reply: Reply) -> bool:
@@ -321,6 +323,7 @@ class Bus:
         with self._turns.turn(priority):
             began_s, n_urgent = self._clock(), self._wire.n_urgent
             self._take_unasked()
+            n_whole = self._n_heard + query.n_reply
             in_s = self._wire.put(query.frame, query.n_reply, _allow)
             self.stats.sent += 1
             end_s = min(in_s + self.settings.slack_s, began_s + left_s)
@@ -328,7 +331,10 @@ class Bus:
             replies: List[Tuple[Reply, float]] = []
             while missing and self._wire.n_urgent == n_urgent:
                 is_over = self._clock() >= end_s - 1e-9
+                n_before = self._n_heard
                 frames = self._give_up() if is_over else self._hear(end_s)
+                if n_before < self._n_heard >= n_whole:  # all there, and still no answer in it
+                    end_s = min(end_s, self._clock() + _SILENCE_S)
                 for reply in self._answers(query, frames):
                     missing.discard(reply.servo_id if query.servo_ids else _BOARD)
                     if reply.is_ok:
@@ -360,7 +366,9 @@ class Bus:
         left_s = end_s - self._clock()
         if left_s > 0.0:
             self.link.wait_readable(min(left_s, _SLICE_S))
-        return self._count(self._parser.feed(self.link.read_available()))
+        data = self.link.read_available()
+        self._n_heard += len(data)
+        return self._count(self._parser.feed(data))
 
     def _give_up(self) -> List[bytes]:
         """Treat the line as silent; return the frames that stood behind an unfinished one."""

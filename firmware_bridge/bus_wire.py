@@ -21,17 +21,22 @@ class Wire:
     Parameters
     ----------
     byte_s : time of one byte on the line.
+    slack_s : how late an answer may be.
+    is_half_duplex : an answer and a frame at once destroy each other.
     """
 
-    def __init__(self, link: Link, clock: Clock, byte_s: float, is_half_duplex: bool) -> None:
+    def __init__(
+        self, link: Link, clock: Clock, byte_s: float, slack_s: float, is_half_duplex: bool
+    ) -> None:
         self._link = link
         self._clock = clock
         self._byte_s = byte_s
+        self._slack_s = slack_s
         self._is_half_duplex = is_half_duplex
         self._lock = threading.RLock()  # a signal handler may stop while its own thread writes
         self._counting = threading.RLock()
         self._n_wanted = 0
-        self._answer_due_s = float("-inf")
+        self._answer_in_s = float("-inf")  # when an undisturbed answer is in, if one is due
         self.n_urgent = 0
         self.is_latched = False
 
@@ -54,20 +59,20 @@ class Wire:
                 if self._link.idle_in_s() <= 0.0 and not self._n_wanted:
                     in_s = self._clock() + (len(frame) + n_reply) * self._byte_s
                     if n_reply:
-                        self._answer_due_s = in_s + _TURN_ROUND_S
+                        self._answer_in_s = in_s
                     self._link.write(frame, n_reply)
                     return in_s
 
     def expect_nothing(self) -> None:
         """Say that no answer is due any more."""
-        self._answer_due_s = float("-inf")
+        self._answer_in_s = float("-inf")
 
     def urgent(self, frames: Sequence[bytes], is_latched: bool) -> float:
         """Write frames before everything else; return when their last byte has left.
 
         Where an answer was due on a half-duplex line the two may have destroyed each other, so
-        that the frames go out a second time when the answer must be over; the time returned is
-        that of the first.
+        that the frames go out again when the answer should be over, and once more when it must be;
+        the time returned is that of the first.
 
         Raises
         ------
@@ -79,11 +84,11 @@ class Wire:
             self._n_wanted += 1
         try:
             with self._lock:
-                due_s = self._answer_due_s
-                is_mixed = self._is_half_duplex and due_s > self._clock()
+                in_s = self._answer_in_s
+                is_due = in_s + self._slack_s > self._clock() and self._is_half_duplex
                 sent_s = self._put_all(frames)
-                if is_mixed:
-                    time.sleep(max(due_s - self._clock(), 0.0))
+                for over_s in (in_s + _TURN_ROUND_S, in_s + self._slack_s) if is_due else ():
+                    time.sleep(max(over_s - self._clock(), 0.0))
                     self._put_all(frames)
                 return sent_s
         finally:

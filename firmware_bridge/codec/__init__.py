@@ -12,6 +12,7 @@ from firmware_bridge.errors import ProtocolError
 PROTOCOLS: Dict[str, str] = {
     "lx16a": "firmware_bridge.codec.lx:Lx16a",
     "lsc": "firmware_bridge.codec.lsc:Lsc",
+    "lsc-pwm": "firmware_bridge.codec.lsc:LscPwm",
     "rrc": "firmware_bridge.codec.rrc_protocol:RrcPwm",
     "rrc-bus": "firmware_bridge.codec.rrc_protocol:RrcBus",
     "sts": "firmware_bridge.codec.sts:Sts",

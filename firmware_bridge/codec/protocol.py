@@ -129,13 +129,6 @@ class ServoProtocol(ABC):
         Id, command and length must all fit; a stale or foreign frame is no answer.
         """
 
-    def n_ack(self, frame: bytes) -> int:
-        """Return how many bytes acknowledge a written frame; 0 when nothing comes back.
-
-        On a half-duplex line nothing may be written before they are in.
-        """
-        return 0
-
     def report(self, frame: bytes) -> Tuple[Tuple[Quantity, Reply], ...]:
         """Return what an unsolicited frame reports; () when it reports nothing known."""
         return ()

@@ -109,11 +109,12 @@ class SerialLink(Link):
             device = serial.serial_for_url(self.port, do_not_open=True)
             device.baudrate = self.baud
             device.timeout = 0
-            device.write_timeout = _WRITE_TIMEOUT_S
+            if not self.port.startswith("rfc2217://"):  # which knows none
+                device.write_timeout = _WRITE_TIMEOUT_S
             if "://" not in self.port or self.port.startswith(_OWN_DEVICE):
                 device.exclusive = True
             device.open()
-        except (ValueError, KeyError) as error:
+        except (ValueError, KeyError, NotImplementedError) as error:
             raise PortError(f"{self.port}: not a port that can be opened: {error}") from error
         except _LOST as error:
             raise self._why(error) from error

@@ -10,7 +10,7 @@ from typing import Optional
 import numpy as np
 
 from apex_edge.types import Array
-from firmware_bridge.codec import rrc
+from firmware_bridge.codec import rrc, rrc_frames
 from firmware_bridge.errors import ProtocolError
 from firmware_bridge.kinematics import PULSE_MAX_US, PULSE_MIN_US, ArmModel
 from firmware_bridge.simulator.base import Firmware
@@ -33,7 +33,7 @@ class RrcFirmware(Firmware):
     ) -> None:
         self._arm = arm
         self._ids = arm.all_ids
-        self._parser = rrc.RrcParser()
+        self._parser = rrc_frames.device_parser()
         self._replies = bytearray()
         self.battery_mv = battery_mv
         self.n_rejected = 0
@@ -59,7 +59,7 @@ class RrcFirmware(Firmware):
     @property
     def n_bad_crc(self) -> int:
         """Frames dropped for their CRC."""
-        return self._parser.n_bad_crc
+        return self._parser.n_bad
 
     @property
     def joints_rad(self) -> Array:

@@ -82,7 +82,8 @@ class BoardLog(Tap, Listener):
         self._write({"t_s": _at(n_steps), "baud": baud})
 
     def took(self, one: Executed) -> None:
-        """Write what a servo did. It stands before the bytes that completed the command."""
+        """Write what a servo did."""
+        self.flush()
         numbers = dict(one.numbers)
         self._write({"t_s": one.t_s, "servo": one.servo_id, "do": one.what, **numbers})
 

@@ -142,7 +142,8 @@ def _places(setup: Setup, family: Family) -> Dict[int, float]:
 
     arm = ArmModel.load(setup.arm)
     places = dict(zip(arm.servo_ids, (float(one) for one in arm.ticks(arm.home_rad))))
-    places[arm.gripper.servo_id] = float(arm.gripper.closed_ticks)
+    if arm.gripper is not None:
+        places[arm.gripper.servo_id] = float(arm.gripper.closed_ticks)
     return places
 
 

@@ -34,7 +34,7 @@ class Tap:
     """Hear what passes; a log overrides this."""
 
     def fed(self, n_steps: int, data: bytes) -> None:
-        """Bytes reached the firmware after that many steps of ``TICK_S``."""
+        """Bytes reach the firmware after that many steps of ``TICK_S``."""
 
     def sent(self, n_steps: int, data: bytes) -> None:
         """The firmware sent bytes."""
@@ -112,8 +112,8 @@ class Wire:
             if not self.options.is_paced:
                 data += bytes(byte.value for byte in going)
                 going.clear()
+            self._tap.fed(self.n_steps, data)  # before what it leads to
             feed(data)
-            self._tap.fed(self.n_steps, data)
             self._collect(end_s)
         self._pass_until(now_s)
         return self._arrived(now_s)

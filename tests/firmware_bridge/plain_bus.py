@@ -104,24 +104,14 @@ class PlainBlind(Plain):
     quantities = frozenset({Quantity.VOLTAGE})
 
 
-class PlainAck(Plain):
-    """The same, but servos acknowledge a move."""
-
-    acks_writes = True
-
-    def n_ack(self, frame):
-        return 5 if frame[3] == MOVE else 0
-
-
 class PlainServos(Firmware):
     """Servos 1..n on one line; ``log`` holds each frame that came in whole."""
 
-    def __init__(self, n_servos: int = 3, is_acking: bool = False) -> None:
+    def __init__(self, n_servos: int = 3) -> None:
         self.baud = 115200
         self.t_s = 0.0
         self.log: List[bytes] = []
         self.servos = {i: SimServo(i, 500, (0, 1000), 3000.0) for i in range(1, n_servos + 1)}
-        self.is_acking = is_acking
         self._parser = parser()
         self._out = bytearray()
 
@@ -143,8 +133,6 @@ class PlainServos(Firmware):
             servo.command(
                 int.from_bytes(data[:2], "little"), int.from_bytes(data[2:], "little") / 1e3
             )
-            if self.is_acking:
-                self.say(frame(servo_id, MOVE | _REPLY))
         elif command == STOP:
             servo.stop()
         elif command in (POSITION, TARGET, TEMPERATURE):

@@ -6,7 +6,6 @@ from plain_bus import (
     STOP,
     Line,
     Plain,
-    PlainAck,
     PlainBlind,
     PlainNoTarget,
     PlainServos,
@@ -23,8 +22,8 @@ def answer(servo_id, value, command=POSITION):
     return frame(servo_id, command | 0x80, number(value))
 
 
-def make(protocol=None, settings=None, **options):
-    line = Line(PlainServos(**options))
+def make(protocol=None, settings=None):
+    line = Line(PlainServos())
     bus = Bus(protocol or Plain(), line, settings, line.clock)
     bus.open()
     return bus, line
@@ -234,6 +233,23 @@ def test_a_dead_servo_is_unanswered(known):
     assert verdicts == {1: Verdict.UNANSWERED, 2: Verdict.CONFIRMED}
 
 
+def test_a_damaged_move_that_reached_another_servo_is_noticed_and_not_undone(known):
+    bus, line = known
+    bus.move([ServoTarget(i, 500) for i in (1, 2, 3)], 200)
+    line.commands = [lambda data: frame(3, MOVE, number(600) + number(200))]
+    verdicts = bus.move([ServoTarget(1, 600)], 200)
+    assert verdicts == {1: Verdict.CONFIRMED, 3: Verdict.MISMATCH}
+    assert line.servos.servos[3].target == 600
+
+
+def test_what_frames_of_a_caller_told_other_servos_is_no_mismatch(known):
+    bus, line = known
+    bus.move([ServoTarget(2, 500)], 200)
+    bus.send(Plain().move([ServoTarget(2, 700)], 200), Priority.MOVE)
+    line.commands = [lambda data: b""]
+    assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.CONFIRMED}
+
+
 def test_without_targets_to_read_the_position_is_compared_after_the_move():
     bus, line = make(PlainNoTarget())
     assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.CONFIRMED}
@@ -252,15 +268,6 @@ def test_a_move_without_verification_asks_nothing(known):
     bus, line = known
     assert bus.move([ServoTarget(1, 600)], 200, is_verified=False) == {1: Verdict.UNVERIFIABLE}
     assert len(line.written) == 1
-
-
-def test_the_next_frame_waits_for_the_acknowledgement():
-    bus, line = make(PlainAck(), is_acking=True)
-    heard_at_write = []
-    line.on_write = lambda data: heard_at_write.append(line.n_bytes_in)
-    bus.move([ServoTarget(1, 600), ServoTarget(2, 300)], 200, is_verified=False)
-    assert heard_at_write == [0, 5]
-    assert bus.stats.timeouts == 0
 
 
 # -- stopping ---------------------------------------------------------------------------------
@@ -316,12 +323,12 @@ def test_a_question_that_a_stop_overtook_is_asked_again_by_itself(known):
     assert bus.stats.preempted == 1
 
 
-def test_a_stop_that_may_have_met_an_answer_goes_out_twice(known):
+def test_a_stop_that_may_have_met_an_answer_goes_out_again_when_that_is_over(known):
     bus, line = known
     stop, question = frame(1, STOP), frame(1, POSITION)
     line.on_write = lambda data: line.written == [question] and bus.urgent((stop,))
     assert bus.read(Quantity.POSITION, (1,))[1].values == (500,)
-    assert line.written[:3] == [question, stop, stop]
+    assert line.written[:4] == [question, stop, stop, stop]
 
 
 def test_a_stop_on_a_quiet_line_goes_out_once(known):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from firmware_bridge.codec import rrc
+from firmware_bridge.codec import rrc, rrc_frames
 from firmware_bridge.simulator import PtyBoard, RrcFirmware
 
 
@@ -86,12 +86,14 @@ def test_a_damaged_frame_moves_nothing_and_is_counted(arm, firmware):
 
 def test_servos_it_does_not_have_and_commands_it_does_not_know_are_counted(firmware):
     firmware.feed(rrc.encode(rrc.PwmMove(100, ((77, 1500),))))
-    firmware.feed(rrc.frame_bytes(99, b"abc"))
+    firmware.feed(rrc_frames.frame_bytes(rrc_frames.RGB, b"abc"))
     assert firmware.n_rejected == 2
 
 
 def test_a_pulse_out_of_range_is_kept_within_what_servos_take(arm, firmware):
-    firmware.feed(rrc.frame_bytes(rrc.PWM_SERVO, bytes.fromhex("01 64 00 01 06 B8 0B")))  # 3000 us
+    firmware.feed(
+        rrc_frames.frame_bytes(rrc_frames.PWM_SERVO, bytes.fromhex("01 64 00 01 06 B8 0B"))
+    )  # 3000 us
     run(firmware, 1.5)
     assert firmware.n_clamped == 1
     assert firmware.joints_rad[0] == pytest.approx(np.pi / 2, abs=0.001)

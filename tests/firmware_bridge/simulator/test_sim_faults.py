@@ -3,6 +3,8 @@
 import json
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from lx_frames import ask, faulty, move, positions, question, run
 
 from firmware_bridge.codec.protocol import ServoFlag
@@ -283,3 +285,19 @@ def test_direct_link_is_lost_with_the_plug_and_opens_again_later():
     link.open()
     link.write(ask(1))
     assert positions(link.read_available()) == [(1, 100)]
+
+
+@given(
+    protocol=st.sampled_from(sorted(SHAPES)),
+    stream=st.lists(st.sampled_from([0x55, 0xAA, 0xFF, 0xFD, 0x00, 0x03, 0x07]), max_size=80),
+    chunk=st.integers(1, 20),
+)
+def test_cutting_is_the_same_for_any_chunks_and_loses_nothing(protocol, stream, chunk):
+    whole = Cutter(SHAPES[protocol])
+    expected = whole.feed(bytes(stream))
+    cutter, pieces = Cutter(SHAPES[protocol]), []
+    for at in range(0, len(stream), chunk):
+        pieces += cutter.feed(bytes(stream[at : at + chunk]))
+    assert b"".join(pieces) + cutter.flush() == bytes(stream)
+    frames = [one for one in expected if one.startswith(SHAPES[protocol].header)]
+    assert [one for one in pieces if one.startswith(SHAPES[protocol].header)] == frames
