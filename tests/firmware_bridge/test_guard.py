@@ -1,11 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_bridge.errors import MotionRefused
-from firmware_bridge.guard import Limits, check_path
+from firmware_bridge.guard import CheckedPath, Limits, check_path
 from firmware_bridge.kinematics import ArmModel
+from offline_train.benchmarks.firmware import guard_cases
 
 ARM = ArmModel.load("armpi-mini")
 any_number = st.one_of(
@@ -166,3 +169,183 @@ def test_random_poses_get_through_only_above_the_table(seed):
         return
     poses = np.stack([path.at(t) for t in np.linspace(0.0, path.total_s, 300)])
     assert ARM.forward(poses)[:, 1:, 2].min() > 0.002
+
+
+def arm_like(tmp_path, text):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'like = "armpi-mini"\n{text}')
+    return ArmModel.load(path)
+
+
+HOSTILE_SHAPES = [
+    None,
+    "up",
+    b"up",
+    {},
+    [[0.0, 1.0], [2.0]],
+    [[10**400] * 4],
+    [["a"] * 4],
+    np.zeros((1, 4), dtype=complex),
+    np.zeros((1, 4), dtype=bool),
+    np.array([["0"] * 4]),
+    np.array([[None] * 4]),
+    np.zeros((1, 4), dtype="M8[s]"),
+    np.zeros((10_000_000, 0)),
+    np.zeros((257, 4)),
+    np.zeros((1, 1, 4)),
+    np.float64(1.0),
+]
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("hostile", HOSTILE_SHAPES, ids=range(len(HOSTILE_SHAPES)))
+def test_what_is_no_path_at_all_is_refused_and_nothing_else(hostile, place, recwarn):
+    given_ = [ARM.home_rad, ARM.home_rad[None], np.array([1.0])]
+    given_[place] = hostile
+    with pytest.raises(MotionRefused) as caught:
+        check_path(ARM, *given_)
+    assert len(str(caught.value)) < 500
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("value", [1e308, -1e308, 1e200, 50.0])
+@pytest.mark.parametrize("place", ["start", "joints", "duration"])
+def test_a_huge_number_is_refused_without_a_warning(value, place, recwarn):
+    start, goal, duration = ARM.home_rad.copy(), ARM.home_rad.copy(), np.array([1.0])
+    {"start": start, "joints": goal, "duration": duration}[place][0] = value
+    with pytest.raises(MotionRefused):
+        check_path(ARM, start, goal[None], duration)
+    with pytest.raises(MotionRefused):
+        clamp = replace(ARM.workspace, mode="clamp")
+        check_path(ARM, np.full(4, value), goal[None], duration, clamp)
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    ("now_s", "deadline_s"),
+    [(5.0, 4.9), (5.0, 5.0), (5.0, np.nan), (np.nan, 5.0), (5.0, np.inf), (None, 5.0), (1, "x")],
+)
+def test_a_path_whose_deadline_has_passed_is_refused(now_s, deadline_s):
+    with pytest.raises(MotionRefused, match="deadline has passed|needs numbers"):
+        check_path(ARM, ARM.home_rad, ARM.home_rad[None], [1.0], None, now_s, deadline_s)
+
+
+def test_a_path_before_its_deadline_is_taken():
+    path = check_path(ARM, ARM.home_rad, ARM.home_rad[None], [1.0], None, 5.0, 5.1)
+    assert path.total_s == 1.0
+
+
+def test_each_arm_is_held_to_its_own_workspace():
+    arm = ArmModel.load("so-101")
+    q, is_reachable = arm.inverse(np.array([[0.33, 0.0, 0.15]]))
+    assert is_reachable[0]
+    assert check_path(arm, arm.home_rad, q, [3.0]).total_s >= 3.0
+    with pytest.raises(MotionRefused, match="leaves the workspace"):
+        check_path(arm, arm.home_rad, q, [3.0], Limits())  # those of the small arm
+
+
+def test_an_arm_does_not_touch_itself(tmp_path):
+    wrist = "[joints.wrist]\nticks_per_rad = 380.0\nlow_rad = -2.6\nhigh_rad = 2.6\n"
+    arm = arm_like(tmp_path, f"[body]\ncolumn_radius_m = 0.0\n{wrist}")
+    curled = np.array([[0.0, 2.1, -1.56, 2.3]])  # the hand comes back on the upper arm
+    begin = np.array([0.0, 2.1, -1.56, 0.5])
+    assert arm.forward(curled)[0, 1:, 2].min() > 0.05
+    with pytest.raises(MotionRefused, match="hand and upper arm would touch: "):
+        check_path(arm, begin, curled, [3.0])
+    thin = arm_like(tmp_path, f"[body]\ncolumn_radius_m = 0.0\nhand_radius_m = 0.0\n{wrist}")
+    assert check_path(thin, begin, curled - [0, 0, 0, 0.4], [3.0]).total_s
+
+
+def test_the_hand_keeps_off_the_base_column(tmp_path):
+    arm = arm_like(tmp_path, "[body]\ncolumn_radius_m = 0.06\n")
+    near = joints_at((0.09, 0.0, 0.06), (0.068, 0.0, 0.06))
+    assert check(near).total_s
+    with pytest.raises(MotionRefused, match="hand and base would touch: "):
+        check_path(arm, arm.home_rad, near, [3.0, 3.0])
+
+
+def test_a_dip_too_short_for_the_samples_is_found():
+    rng = np.random.default_rng(5)
+    n_found = 0
+    for _ in range(400):
+        angle, radius = rng.uniform(-0.6, 0.6, 2), rng.uniform(0.09, 0.18, 2)
+        tips = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), [0.012, 0.012]])
+        begin, end = joints_at(*tips)
+        poses = begin + (end - begin) * np.linspace(0, 1, 2000)[:, None]
+        lowest = float(ARM.tip(poses)[:, 2].min())
+        if lowest > 0.0119:
+            continue
+        n_found += 1
+        # a table that the dip reaches by a tenth of a millimetre, and one that it does not
+        with pytest.raises(MotionRefused, match="tip comes to z"):
+            check(end, q_from=begin, limits=Limits(min_tip_z_m=lowest + 1e-4))
+        check(end, q_from=begin, limits=Limits(min_tip_z_m=lowest - 1e-6))
+    assert n_found > 50
+
+
+CLAMP = replace(ARM.workspace, mode="clamp")
+
+
+def test_clamp_brings_joints_to_their_limits_and_says_so():
+    goal = ARM.home_rad + [0.3, 0.0, 0.0, 5.0]
+    path = check(goal, limits=CLAMP)
+    assert path.knots_rad[-1, 3] == ARM.limits_rad[3, 1]
+    assert np.isclose(path.knots_rad[-1, 0], goal[0])
+    assert any("wrist = " in each for each in path.clamped)
+    assert check(ARM.home_rad, limits=CLAMP).clamped == ()
+
+
+def test_clamp_shortens_a_step_and_a_duration():
+    limits = replace(CLAMP, max_step_rad=0.2, max_duration_s=5.0)
+    path = check(ARM.home_rad + [0.8, 0.0, 0.0, 0.0], [99.0], limits=limits)
+    assert np.isclose(path.knots_rad[-1, 0] - ARM.home_rad[0], 0.2)
+    assert path.total_s == 5.0
+    assert len(path.clamped) == 2
+
+
+def test_clamp_ends_a_path_before_the_table():
+    goals = joints_at((0.12, 0.0, 0.06), (0.12, 0.0, 0.0), (0.12, 0.0, 0.06))
+    path = check(goals, limits=CLAMP)
+    assert 0.003 <= ARM.tip(path.knots_rad[-1])[0, 2] < 0.012
+    assert len(path.knots_rad) == 3  # start, above, and as low as it may
+    assert len(path.clamped) == 1
+    assert "tip comes to z" in path.clamped[0]
+    speed = np.abs(np.diff(path.knots_rad, axis=0)) / np.diff(path.knots_s)[:, None]
+    assert (speed <= ARM.rate_rad_s * (1 + 1e-9)).all()
+
+
+def test_clamp_refuses_a_path_of_which_nothing_is_left():
+    low = joints_at((0.12, 0.0, 0.004))[0]
+    with pytest.raises(MotionRefused, match="tip comes to z"):
+        check(low - [0.0, 0.4, 0.0, 0.0], q_from=low, limits=CLAMP)
+
+
+@pytest.mark.parametrize("name", ["armpi", "so-101"])
+def test_guard_and_oracle_agree_on_hostile_targets(name):
+    rng, arm = np.random.default_rng(9), ArmModel.load(name)
+    n_taken, kinds = 0, set()
+    for _ in range(600):
+        target = guard_cases.hostile(rng, arm)
+        due_s = None if target.deadline_s is None else 7.0 + target.deadline_s
+        kinds.add(target.kind)
+        try:
+            path = check_path(
+                arm, arm.home_rad, target.joints_rad, target.duration_s, None, 7.0, due_s
+            )
+        except MotionRefused:
+            continue
+        n_taken += 1
+        assert guard_cases.violates(arm, path) == ""
+    assert kinds == set(guard_cases.KINDS)
+    assert n_taken > 20
+
+
+def test_the_oracle_finds_what_the_guard_would_not_let_through():
+    low = joints_at((0.12, 0.0, 0.06), (0.12, 0.0, 0.0))
+    times = np.array([0.0, 2.0, 4.0])
+    knots = np.vstack([ARM.home_rad, low])
+    assert "tip under the table" in guard_cases.violates(ARM, CheckedPath(knots, times, False))
+    assert guard_cases.violates(ARM, CheckedPath(knots[:2], times[:2] / 100, False)) == "over speed"
+    beyond = np.vstack([ARM.home_rad, ARM.home_rad + [2.0, 0, 0, 0]])
+    told = guard_cases.violates(ARM, CheckedPath(beyond, times[:2], False))
+    assert told == "joint outside its limits"
