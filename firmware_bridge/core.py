@@ -56,6 +56,7 @@ class SessionCore:
         self._watching = Watching(self.servos, self.policy, self.rhythm, clock)
         self._supervision = Supervision(self.servos, deadman)
         self._counts: Dict[str, int] = {}
+        self._known: List[Trouble] = []  # what the present fault is made of
 
     @property
     def state(self) -> SessionState:
@@ -99,22 +100,24 @@ class SessionCore:
             if trouble.action == WARN:
                 _LOG.warning("%s", trouble.text)
         grave = [one for one in troubles if one.action != WARN]
-        if not grave or self._state not in UP:
-            return
-        grave.sort(key=lambda one: list(Kind).index(one.kind))
-        self._fail("; ".join(one.text for one in grave))
-        for trouble in grave:
-            if trouble.action == TORQUE_OFF:
-                self.servos.switch(False, (trouble.servo_id,))
+        if grave and self._state in UP:
+            self._known = []
+            grave.sort(key=lambda one: list(Kind).index(one.kind))
+            self._fail("; ".join(one.text for one in grave))
+            for trouble in grave:
+                if trouble.action == TORQUE_OFF:
+                    self.servos.switch(False, (trouble.servo_id,))
+            self._known = [one for one in grave if one.kind is not Kind.DEAD]
         silent = [one for one in grave if one.kind is Kind.DEAD]
-        others = [one for one in grave if one.kind is not Kind.DEAD]
         if silent:
-            self._explain(others + [self._watching.explain(one) for one in silent])
+            self._explain([self._watching.explain(one) for one in silent])
 
     def _explain(self, found: List[Trouble]) -> None:
         """Name a fault by what was found out about it since."""
-        found.sort(key=lambda one: list(Kind).index(one.kind))
-        text = "; ".join(one.text for one in found)
+        renamed = {one.servo_id for one in found}
+        self._known = [one for one in self._known if one.servo_id not in renamed] + found
+        self._known.sort(key=lambda one: list(Kind).index(one.kind))
+        text = "; ".join(one.text for one in self._known)
         with self._state_lock:
             if self._state is SessionState.FAULT:
                 self.reason = text

@@ -40,7 +40,7 @@ class Deadman:
         self.n_beats = 0
         self.n_trips = 0
         self._now_s = now_s
-        self._process: "Optional[subprocess.Popen[bytes]]" = None
+        self._process: Optional[subprocess.Popen[bytes]] = None
         self._channel: Optional[socket.socket] = None
         self._beat_s: Optional[float] = None  # of the last WATCH beat
 

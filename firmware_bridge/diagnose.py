@@ -3,7 +3,7 @@
 Takes up to 0.3 s; for an arm that stands. Source: ours.
 """
 
-from typing import Callable, NamedTuple, Optional, Tuple
+from typing import Callable, NamedTuple, Optional, Sequence, Tuple
 
 from firmware_bridge.bus import Bus, BusSettings
 from firmware_bridge.codec.protocol import Quantity, ServoProtocol
@@ -21,8 +21,12 @@ class Silence(NamedTuple):
     text: str
 
 
-def why_silent(bus: Bus, servo_id: int, clock: Callable[[], float]) -> Silence:
+def why_silent(
+    bus: Bus, servo_id: int, others: Sequence[int], clock: Callable[[], float]
+) -> Silence:
     """Ask a silent servo again, look at what comes instead of an answer, and try other rates.
+
+    It may have taken the id of one of the ``others``, whose answers are garbled then.
 
     Raises
     ------
@@ -40,6 +44,13 @@ def why_silent(bus: Bus, servo_id: int, clock: Callable[[], float]) -> Silence:
             f"answers are garbled: two servos have the id {servo_id}; unplug one of them and give "
             "it another id",
         )
+    for other in others:
+        if _is_noisy(bus, other):
+            return Silence(
+                Kind.CLASH,
+                f"does not answer, and answers of id {other} are garbled: two servos have the id "
+                f"{other}; unplug one of them and give it the id {servo_id}",
+            )
     usual = bus.link.baud
     for baud in _BAUDS:
         if baud != usual and _answers_at(bus, servo_id, baud, clock):

@@ -64,7 +64,8 @@ def shake_hands(servos: Servos, clock: Callable[[], float]) -> Findings:
     troubles: List[str] = []
     for servo_id in arm.all_ids:
         if servo_id not in there:
-            silence = why_silent(bus, servo_id, clock)
+            others = [i for i in arm.all_ids if i != servo_id]
+            silence = why_silent(bus, servo_id, others, clock)
             who = f"{servos.name_of(servo_id)} (id {servo_id})"
             troubles.append(f"{silence.kind.value}: {who} {silence.text}")
     ids = tuple(i for i in arm.all_ids if i in there)

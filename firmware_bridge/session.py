@@ -209,6 +209,29 @@ class ArmSession(SessionCore):
                 "; ".join([*told, *path.clamped]),
             )
 
+    @property
+    def is_gripping(self) -> bool:
+        """Say whether the gripper is still on its way."""
+        is_there = self.servos.grip_goal in (None, self.servos.grip_ticks)
+        return self._state in UP and not is_there
+
+    def grip(self, share: float) -> None:
+        """Let the gripper go to a share of its opening, 0 closed, 1 open; ``tick`` moves it.
+
+        Raises
+        ------
+        NotArmed : the state is neither ARMED nor MOVING. MotionRefused : not within 0..1, or the
+            arm has no gripper.
+        """
+        with self._lock:
+            if not self.can_move:
+                raise NotArmed(f"grip() needs state armed, found {self._state.value}")
+            gripper = self.model.gripper
+            if gripper is None or not 0.0 <= share <= 1.0:
+                raise MotionRefused(f"grip({share!r}): no gripper, or not within 0..1")
+            way = gripper.open_ticks - gripper.closed_ticks
+            self.servos.grip_goal = gripper.closed_ticks + int(round(share * way))
+
     def tick(self) -> None:
         """Send the next set-point, measure, and look after the servos; see ``rhythm``.
 

@@ -10,7 +10,7 @@ from apex_edge.types import Array
 from firmware_bridge.bus import Reading
 from firmware_bridge.codec.protocol import Quantity, ServoFlag
 from firmware_bridge.servos import Servos
-from firmware_bridge.watch import Trouble, Watch
+from firmware_bridge.watch import WARN, Trouble, Watch
 
 _ROUND = (
     Quantity.TORQUE,
@@ -90,6 +90,11 @@ class Telemeter:
         for servo_id, reading in answers.items():
             self._values[quantity, servo_id] = reading
             found += self._judge(quantity, servo_id, reading.values[0], is_armed)
+        has_lost = quantity is Quantity.TORQUE and bool(found)
+        if has_lost and Quantity.TEMPERATURE in self._servos.bus.protocol.quantities:
+            # a hot servo drops its torque as well, and that is the better name
+            hot = self._ask(Quantity.TEMPERATURE, ids, is_armed)
+            found = [one for one in hot if one.action != WARN] or found
         return found
 
     def _judge(self, quantity: Quantity, servo_id: int, value: int, armed: bool) -> List[Trouble]:

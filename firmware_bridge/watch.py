@@ -99,15 +99,20 @@ class Watch:
 
     def measured(self, now_s: float, seen: Measured) -> List[Trouble]:
         """Judge positions and the flags that came with them."""
+        found = self.silent(seen)
+        for servo_id, flags in seen.flags.items():
+            found += self.flagged(servo_id, flags)
+        return found + self._stalled(now_s, seen)
+
+    def silent(self, seen: Measured) -> List[Trouble]:
+        """Judge who has not answered some times in a row; each is told once."""
         found: List[Trouble] = []
         for servo_id in self._names:
             n = self._n_silent.get(servo_id, 0) + 1 if servo_id in seen.missing else 0
             self._n_silent[servo_id] = n
             if n == _N_SILENT:
                 found.append(self._trouble(Kind.DEAD, servo_id, "does not answer", HOLD))
-        for servo_id, flags in seen.flags.items():
-            found += self.flagged(servo_id, flags)
-        return found + self._stalled(now_s, seen)
+        return found
 
     def suspects(self) -> List[int]:
         """Return joints that have left their way, stalled or not yet."""

@@ -1,18 +1,18 @@
 """Measure the arm once a tick and look after its servos; says what is wrong and does nothing."""
 
 import threading
-from typing import Callable, List, Optional, Set
+from typing import Callable, Dict, List, Optional, Set
 
 from firmware_bridge.bus import Reading
 from firmware_bridge.codec.protocol import Quantity
 from firmware_bridge.diagnose import why_silent
 from firmware_bridge.motion import Motion, Rhythm
 from firmware_bridge.servos import Measured, Servos
-from firmware_bridge.states import UP, SessionState
+from firmware_bridge.states import LATCHED, UP, SessionState
 from firmware_bridge.telemetry import Telemeter, Telemetry
 from firmware_bridge.watch import HOLD, Kind, Policy, Trouble, Watch
 
-_AGAIN = 5  # a servo found dead is asked in every fifth tick
+_AGAIN = 2  # a servo found dead is asked in every second tick
 
 
 class Watching:
@@ -26,7 +26,8 @@ class Watching:
         self._servos, self._clock = servos, clock
         self._watch = Watch(policy, names, servos.arm.servo_ids)
         self._telemeter = Telemeter(servos, self._watch, rhythm.tick_s)
-        self._dead: Set[int] = set()
+        self._dead: Dict[int, Kind] = {}  # silent servos, and what was found out
+        self._told_dead: Set[int] = set()
         self._back: List[int] = []
         self._n_looks = 0
         self._is_free = threading.Lock()
@@ -37,6 +38,7 @@ class Watching:
         self.seen = None
         self._watch.forget()
         self._dead.clear()
+        self._told_dead.clear()
         self._back.clear()
 
     def start_from(self, seen: Measured) -> None:
@@ -66,7 +68,9 @@ class Watching:
         ------
         LinkLost : the link is gone.
         """
-        found = why_silent(self._servos.bus, silent.servo_id, self._clock)
+        others = [i for i in self._servos.arm.all_ids if i != silent.servo_id]
+        found = why_silent(self._servos.bus, silent.servo_id, others, self._clock)
+        self._dead[silent.servo_id] = found.kind
         return self._told(found.kind, silent.servo_id, found.text)
 
     def came_back(self) -> Optional[Trouble]:
@@ -87,15 +91,24 @@ class Watching:
         began_s = self._clock()
         seen = self._servos.measure(but, self.seen)
         self.seen = seen
-        self._back += [i for i in self._dead if i not in seen.missing]
-        self._dead.difference_update(self._back)
-        found: List[Trouble] = []
-        if is_up:
+        for servo_id in [i for i in self._dead if i not in seen.missing]:
+            if self._dead.pop(servo_id) is Kind.DEAD:
+                self._back.append(servo_id)
+        if not is_up:
+            found = self._watch.silent(seen) if state in LATCHED else []
+        else:
             self._watch.expect(began_s, motion.at(began_s))
-            found += self._watch.measured(self._clock(), seen)
-            self._dead.update(one.servo_id for one in found if one.kind is Kind.DEAD)
+            found = self._watch.measured(self._clock(), seen)
+        found = [one for one in found if one.kind is not Kind.DEAD or self._is_news(one.servo_id)]
         suspects = self._watch.suspects() if is_up else []
         return found + self._telemeter.step(seen.missing, suspects, is_up)
+
+    def _is_news(self, servo_id: int) -> bool:
+        """Note a servo that fell silent; a garbled one falls silent again and again."""
+        is_new = servo_id not in self._told_dead
+        self._dead.setdefault(servo_id, Kind.DEAD)
+        self._told_dead.add(servo_id)
+        return is_new
 
     def _board_supply(self, state: SessionState) -> List[Trouble]:
         """Judge what a board reports of its supply, each report once."""

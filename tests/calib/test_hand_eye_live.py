@@ -81,7 +81,7 @@ class Bench:
 
     def ready(self, arm):
         ready = ReadyArm(arm, self.board.port, self.clock, self.sleep)
-        self.link = ready.session._link
+        self.link = ready.session.bus.link
         return ready
 
 
