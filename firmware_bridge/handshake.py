@@ -13,6 +13,7 @@ from firmware_bridge.errors import HandshakeFailed
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.servos import Servos
 
+_N_ASKED = 3
 _SLACK_TICKS = 2  # a limit that was rounded the other way
 
 
@@ -60,7 +61,7 @@ def shake_hands(servos: Servos, clock: Callable[[], float]) -> Findings:
     if not bus.protocol.quantities & {Quantity.MODEL, Quantity.POSITION, Quantity.TARGET}:
         note = f"{bus.protocol.name} cannot be asked whether the servos are there"
         return Findings((), (), (note,))
-    there = bus.read(question(bus.protocol), arm.all_ids)
+    there = _ask_all(bus, arm.all_ids)
     troubles: List[str] = []
     for servo_id in arm.all_ids:
         if servo_id not in there:
@@ -122,6 +123,16 @@ def _compare(arm: ArmModel, servo: ServoFound, troubles: List[str], notes: List[
             notes.append(f"{who} itself allows {has_low}..{has_high}, wider than {low}..{high}")
     if servo.offset_ticks:
         notes.append(f"{who} keeps an offset of {servo.offset_ticks} ticks of its own")
+
+
+def _ask_all(bus: Bus, ids: Tuple[int, ...]) -> Dict[int, Reading]:
+    """Ask everybody, and those who did not answer again: this machine may have been busy."""
+    there: Dict[int, Reading] = {}
+    for _ in range(_N_ASKED):
+        there.update(bus.read(question(bus.protocol), [i for i in ids if i not in there]))
+        if len(there) == len(ids):
+            break
+    return there
 
 
 def _read(bus: Bus, quantity: Quantity, ids: Tuple[int, ...]) -> Dict[int, Reading]:

@@ -28,6 +28,7 @@ from firmware_bridge.telemetry import Telemetry
 from firmware_bridge.watch import HOLD, Kind, Policy, Trouble
 
 _LOG = logging.getLogger(__name__)
+_N_MEASURED = 3  # times at most, before arming is given up
 
 __all__ = ["HORIZON_S", "ArmSession", "JointState", "MoveReport", "SessionState"]
 
@@ -322,6 +323,10 @@ class ArmSession(SessionCore):
         for note in self.findings.notes:
             _LOG.info("%s", note)
         seen = self.servos.measure()
+        for _ in range(_N_MEASURED):
+            if seen.is_valid.all():
+                break
+            seen = self.servos.measure()
         self._supervision.begin()
         pose = arming.take_hold(self.servos, seen)
         self._watching.start_from(seen)

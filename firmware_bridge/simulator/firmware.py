@@ -67,6 +67,11 @@ class RrcFirmware(Firmware):
         return self._arm.angles_rad(self._actual_us[: self._arm.n_joints])
 
     @property
+    def set_points_rad(self) -> Array:
+        """Where the board's interpolation is for each joint now (k,)."""
+        return self._arm.angles_rad(self._commanded_us()[: self._arm.n_joints])
+
+    @property
     def points_m(self) -> Array:
         """True shoulder, elbow, wrist and tip (4, 3) in metres."""
         points: Array = self._arm.forward(self.joints_rad)[0]
