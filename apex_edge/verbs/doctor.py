@@ -350,9 +350,11 @@ def check_arm(config: Any) -> List[Check]:
     from firmware_bridge.links.serial_link import ports
 
     try:
-        checks = [Check("arm", OK, ArmModel.load(config.type).name)]
+        arm = ArmModel.load(config.type)
     except ApexError as error:
         return [Check("arm", FAIL, str(error))]
+    told = arm.name if arm.is_verified else f"{arm.name} is not verified: {arm.note}"
+    checks = [Check("arm", OK if arm.is_verified else WARN, told)]
     is_path = config.port not in ("", "sim") and "://" not in config.port
     if is_path and not Path(config.port).exists():
         found = ", ".join(str(port) for port in ports()) or "none"

@@ -29,7 +29,7 @@ class Parser:
 
     Parameters
     ----------
-    header : the bytes every frame starts with.
+    header : the bytes every frame starts with; where there are none, frames follow one another.
     measure, check : see ``Measure`` and ``Check``.
     """
 
@@ -66,6 +66,7 @@ class Parser:
             if start < 0 or start == n_all:  # the latter where frames have no header
                 at = max(at, n_all - (0 if is_final else self._n_partial()))
                 break
+            at = start + 1
             n_frame = measure(buffer, start)
             end = start + n_frame
             if n_frame == NEEDS_MORE or end > n_all:
@@ -78,9 +79,10 @@ class Parser:
                     frames.append(frame)
                     self.n_skipped += max(start - done, 0)
                     done = max(done, end)
+                    if not header:  # nothing tells a frame inside from its values
+                        at = end
                 else:
                     self.n_bad += 1
-            at = start + 1
         self.n_skipped += max(at - done, 0)
         del buffer[:at]
         self._done = max(done - at, 0)

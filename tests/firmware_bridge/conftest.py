@@ -11,8 +11,8 @@ from firmware_bridge.guard import Limits
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.links.serial_link import SerialLink
 from firmware_bridge.session import ArmSession, SessionState
-from firmware_bridge.simulator.firmware import RrcFirmware
 from firmware_bridge.simulator.pty_board import PtyBoard
+from firmware_bridge.simulator.rrc_arm import RrcFirmware
 
 _STEP_S = 0.01
 _PATIENCE_S = 2.0  # wall time for bytes to cross the pty; it takes about 0.1 ms

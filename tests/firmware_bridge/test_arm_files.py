@@ -1,15 +1,32 @@
 """Every arm that is shipped, and files that users write on top of them."""
 
 import logging
+import re
+from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from apex_edge.errors import ConfigError
-from firmware_bridge.arm_file import ARMS, known_arms
+from firmware_bridge.arm_file import (
+    ARMS,
+    Body,
+    Bus,
+    Gripper,
+    Head,
+    Home,
+    Joint,
+    Limits,
+    Links,
+    Pitch,
+    known_arms,
+)
+from firmware_bridge.clearance import clearances
 from firmware_bridge.kinematics import ArmModel
 
 NAMES = ("armpi", "armpi-mini", "armpi-mini-i2c", "learm", "lx16a-arm", "so-101", "xarm-1s")
+GUIDE = Path(__file__).parents[2] / "docs" / "hardware" / "add-your-arm.md"
 each_arm = pytest.mark.parametrize("name", NAMES)
 
 # SO-101, from its MJCF: place and quaternion (w, x, y, z) of each body in the one before; every
@@ -210,6 +227,29 @@ def test_a_copy_of_an_arm_changes_only_what_it_says(tmp_path):
     further = tmp_path / "further.toml"
     further.write_text('like = "mine.toml"\nname = "further"\n')
     assert ArmModel.load(further).zero_ticks[3] == 2011.0
+
+
+def toml_blocks():
+    text = GUIDE.read_text(encoding="utf-8")
+    return [part.split("```")[0] for part in text.split("```toml\n")[1:]]
+
+
+def test_the_files_of_the_guide_load(tmp_path):
+    copy, whole = toml_blocks()
+    for name, text in (("copy", copy), ("whole", whole)):
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+    assert ArmModel.load(tmp_path / "copy.toml").ticks_per_rad[3] == 648.2
+    arm = ArmModel.load(tmp_path / "whole.toml")
+    assert (arm.n_joints, arm.tick_range, arm.gripper.servo_id) == (4, (0, 1000), 1)
+    assert np.isfinite(arm.accel_rad_s2).tolist() == [False, False, False, True]
+    assert clearances(arm, arm.forward(arm.home_rad), arm.workspace).min() > 0.01
+
+
+def test_the_guide_explains_every_key():
+    text = GUIDE.read_text(encoding="utf-8")
+    sections = (Head, Bus, Links, Pitch, Home, Gripper, Limits, Body, Joint)
+    keys = {each.name for kind in sections for each in fields(kind)}
+    assert [key for key in sorted(keys) if not re.search(rf"\b{key}\b", text)] == []
 
 
 def test_an_arm_without_a_gripper_has_one_servo_less(tmp_path):

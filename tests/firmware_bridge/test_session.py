@@ -77,11 +77,11 @@ def test_the_arm_of_a_dead_host_stops_within_the_horizon(ready, arm, died_after_
     ready.advance(died_after_s)
     ready.exchange()
     ready.advance(HORIZON_S, is_host_alive=False)
-    commanded = ready.firmware._commanded_us().copy()
+    commanded = ready.firmware.set_points_us
     ready.advance(0.1, is_host_alive=False)
     resting = ready.firmware.joints_rad
     ready.advance(2.0, is_host_alive=False)
-    assert np.array_equal(ready.firmware._commanded_us(), commanded)
+    assert np.array_equal(ready.firmware.set_points_us, commanded)
     assert np.abs(ready.firmware.joints_rad - resting).max() < 0.002
 
 
@@ -89,10 +89,10 @@ def test_a_host_that_stalls_does_not_make_the_arm_hurry(ready, arm):
     go(ready, arm, share=1.0)
     ready.advance(0.15)
     ready.advance(0.5, is_host_alive=False)
-    speeds, before = [], ready.firmware._commanded_us().copy()
+    speeds, before = [], ready.firmware.set_points_us
     for _ in range(60):
         ready.advance(0.01)
-        now = ready.firmware._commanded_us().copy()
+        now = ready.firmware.set_points_us
         speeds.append(np.abs(now - before)[:4] / np.abs(arm.ticks_per_rad) / 0.01)
         before = now
     # whole pulses and whole milliseconds: one pulse in 100 ms is 0.016 rad/s

@@ -15,8 +15,9 @@ from firmware_bridge.codec import rrc, rrc_frames
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.session import ArmSession, SessionState
 from firmware_bridge.simulator.direct_link import DirectLink
-from firmware_bridge.simulator.firmware import RrcFirmware
+from firmware_bridge.simulator.rrc_arm import RrcFirmware
 from offline_train.benchmarks.firmware.guard_cases import hostile, pose_faults
+from offline_train.benchmarks.firmware.live import quiet
 from offline_train.benchmarks.lines import Line, at_least, at_most, note
 
 SUITE = "hostile session"
@@ -54,7 +55,8 @@ class Log:
                 continue
             told = dict(message.targets)
             goal = np.array([told[i] for i in self._arm.servo_ids], dtype=float)
-            start = self._arm.zero_ticks + self._arm.ticks_per_rad * self._firmware.set_points_rad
+            servos = {servo.servo_id: servo for servo in self._firmware.servos}
+            start = np.array([servos[i].set_point for i in self._arm.servo_ids])
             self.frames.append(Frame(start, goal, message.duration_ms / 1000.0))
         return data
 
@@ -102,7 +104,7 @@ def run(n_targets: int, seed: int) -> Tuple[Log, int, int]:
     session.open()
     session.arm(arm.home_rad)
     n_accepted = n_faults = 0
-    with Progress("targets", n_targets) as progress:
+    with quiet(), Progress("targets", n_targets) as progress:
         for _ in range(n_targets):
             target = hostile(rng, arm)
             deadline_s = None if target.deadline_s is None else firmware.t_s + target.deadline_s

@@ -1,8 +1,10 @@
 """A live arm for the proofs: a served board with faults, the session on it, and a swing to and fro."""
 
+import contextlib
+import logging
 import time
 from contextlib import ExitStack
-from typing import Any, Callable, Mapping, Optional, Tuple
+from typing import Any, Callable, Iterator, Mapping, Optional, Tuple
 
 import numpy as np
 
@@ -17,6 +19,18 @@ from firmware_bridge.simulator.pty_board import PtyBoard, serving
 ARMS: Mapping[str, str] = {"sts": "so-101", "lx16a": "lx16a-arm", "rrc": "armpi-mini"}
 SWING_RAD = 0.4
 SWING_S = 0.6
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keep the session's warnings off the terminal: here faults and refusals are the purpose."""
+    logger = logging.getLogger("firmware_bridge")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def has_simulator(protocol: str) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 
 from apex_edge.verbs.progress import Progress
 from firmware_bridge.session import SessionState
-from offline_train.benchmarks.firmware.live import LiveArm, Swinger, has_simulator
+from offline_train.benchmarks.firmware.live import LiveArm, Swinger, has_simulator, quiet
 from offline_train.benchmarks.lines import Line, at_least, at_most
 
 SUITE = "servo faults"
@@ -31,7 +31,7 @@ def measure(scale: float, seed: int) -> List[Line]:
     n_runs = max(1, int(round(_N * scale)))
     protocols = [name for name in ("sts", "lx16a") if has_simulator(name)]
     lines: List[Line] = []
-    with Progress("faults", n_runs * len(protocols) * len(NAMES)) as progress:
+    with quiet(), Progress("faults", n_runs * len(protocols) * len(NAMES)) as progress:
         for protocol in protocols:
             for kind in NAMES:
                 found = []

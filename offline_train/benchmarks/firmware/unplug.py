@@ -12,7 +12,7 @@ from apex_edge.verbs.progress import Progress
 from firmware_bridge.errors import ArmError
 from firmware_bridge.session import SessionState
 from firmware_bridge.simulator.faulty import servos_of
-from offline_train.benchmarks.firmware.live import LiveArm, Swinger, has_simulator
+from offline_train.benchmarks.firmware.live import LiveArm, Swinger, has_simulator, quiet
 from offline_train.benchmarks.lines import Line, at_most
 
 SUITE = "unplug"
@@ -45,7 +45,7 @@ def cycles(protocol: str, n_cycles: int, seed: int) -> Tuple[List[Dict[str, floa
     """Return what each cycle showed, and how many descriptors and threads were left over."""
     rng = np.random.RandomState(seed)
     found: List[Dict[str, float]] = []
-    with LiveArm(protocol, seed=seed) as live, Progress("cycles", n_cycles) as progress:
+    with quiet(), LiveArm(protocol, seed=seed) as live, Progress("cycles", n_cycles) as progress:
         live.arm_up()
         swinger = Swinger(live.session)
         before: List[int] = []

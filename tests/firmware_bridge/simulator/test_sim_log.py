@@ -39,7 +39,8 @@ def talk(wire, setup, seed, n_turns=60):
     for _ in range(n_turns):
         targets = [ServoTarget(one, rng.randint(low, high), 2000) for one in DEFAULT_IDS]
         frames = list(speech.move(targets, rng.randint(20, 400)))
-        frames += [query.frame for query in speech.query(Quantity.POSITION, DEFAULT_IDS)]
+        place = Quantity.POSITION if speech.has_feedback else Quantity.TARGET
+        frames += [query.frame for query in speech.query(place, DEFAULT_IDS)]
         frames += list(speech.stop(targets)) if rng.random() < 0.2 else []
         for frame in frames:
             wire.host_sent(frame, now_s)
