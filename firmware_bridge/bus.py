@@ -6,10 +6,10 @@ An urgent list does not even wait for that (see ``bus_wire``).
 """
 
 import time
-from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 from firmware_bridge.bus_turns import Priority, Turns
-from firmware_bridge.bus_values import BusSettings, BusStats, Plausibility, Reading, Verdict
+from firmware_bridge.bus_values import Accept, BusSettings, BusStats, Plausibility, Reading, Verdict
 from firmware_bridge.bus_wire import Clock, Wire
 from firmware_bridge.codec.parser import Parser
 from firmware_bridge.codec.protocol import Quantity, Query, Reply, ServoProtocol, ServoTarget
@@ -22,8 +22,6 @@ _SLICE_S = 0.002  # longest wait without a look at what became urgent
 _SILENCE_S = 0.001  # as long as this after the last byte nothing of the same answer comes
 _DEFAULT_BAUD = 1_000_000
 _BOARD = -1
-Accept = Callable[[Reply, List[Reply]], bool]
-"""(an answer, those of the same servo before it that did not count) -> does it count."""
 
 
 class _Outcome(NamedTuple):
@@ -34,6 +32,10 @@ class _Outcome(NamedTuple):
 
 def _allow() -> None:
     return
+
+
+def _ticks(targets: Sequence[ServoTarget]) -> Dict[int, int]:
+    return {target.servo_id: target.ticks for target in targets}
 
 
 class Bus:
@@ -68,7 +70,7 @@ class Bus:
         self._plausibility = Plausibility(protocol, self.settings)
         self._parser: Parser = protocol.parser()
         self._n_bad_before = self._n_heard = 0
-        self._n_stops = 0
+        self._n_stops = self._n_moves = 0
         self._told: Dict[int, int] = {}  # id -> ticks it was moved to, as far as that is known
 
     @property
@@ -116,6 +118,7 @@ class Bus:
         if priority is Priority.STOP:
             self._n_stops += 1
         if priority is not Priority.READ:
+            self._n_moves += 1
             self._told = {}
         return self._send(frames, priority, self._mark())
 
@@ -133,7 +136,7 @@ class Bus:
         """
         found: Dict[int, Reading] = {}
         for query in self.protocol.query(quantity, servo_ids):
-            found.update(self._collect(query, priority, self._accept(quantity)))
+            found.update(self._collect(query, priority, self._plausibility.judging(quantity)))
         return found
 
     def move(
@@ -152,31 +155,32 @@ class Bus:
         MotionRefused : latched, or overtaken by a stop before everything was sent.
         ProtocolError : no well-formed frame can carry it.
         """
-        mark = self._mark()
-        others = self._told
+        mark, others = self._mark(), self._told
+        self._n_moves += 1
         self._told = {}
+        n_moves = self._n_moves
         self._send(self.protocol.move(targets, duration_ms), Priority.MOVE, mark)
         compare = self._comparison()
         if compare is None or not is_verified:
             return {target.servo_id: Verdict.UNVERIFIABLE for target in targets}
         verdicts: Dict[int, Verdict] = {}
-        left = list(targets)
-        for n_sent in range(1, self.settings.n_move_tries + 1):
+        left, n_sent = list(targets), 1
+        while True:
             if compare is Quantity.POSITION:
                 self._let_pass(duration_ms / 1000.0 + self.settings.settle_s, mark)
-            verdicts.update(self._read_back(compare, {t.servo_id: t.ticks for t in left}))
+            verdicts.update(self._read_back(compare, _ticks(left)))
             left = [t for t in left if verdicts[t.servo_id] is not Verdict.CONFIRMED]
-            if not left or self._is_overtaken(mark) or n_sent == self.settings.n_move_tries:
+            is_over = self._is_overtaken(mark) or self._n_moves != n_moves
+            if not left or is_over or n_sent >= self.settings.n_move_tries:
                 break
+            n_sent += 1
             self.stats.retries += 1
             self._send(self.protocol.move(left, duration_ms), Priority.MOVE, mark)
-        told = {target.servo_id: target.ticks for target in targets}
-        others = {servo_id: ticks for servo_id, ticks in others.items() if servo_id not in told}
-        if (left or n_sent > 1) and others and not self._is_overtaken(mark):
-            found = self._read_back(compare, others)
-            verdicts.update({i: v for i, v in found.items() if v is Verdict.MISMATCH})
-        if not self._is_overtaken(mark):
-            self._told = {**others, **told}
+        others = {i: ticks for i, ticks in others.items() if i not in _ticks(targets)}
+        if not is_over:
+            if n_sent > 1 or left:
+                verdicts.update(self._strays(compare, others))
+            self._told = {**others, **_ticks(targets)}
         return verdicts
 
     def urgent(self, frames: Sequence[bytes], is_latched: bool = True) -> float:
@@ -246,30 +250,10 @@ class Bus:
 
     # -- asking -------------------------------------------------------------------------------
 
-    def _accept(self, quantity: Quantity) -> Accept:
-        def accept(reply: Reply, heard: List[Reply]) -> bool:
-            return self._plausibility.accept(quantity, reply, heard)
-
-        return accept
-
     def _read_back(self, quantity: Quantity, wanted: Mapping[int, int]) -> Dict[int, Verdict]:
-        """Compare what servos say with what they were told.
-
-        A damaged answer looks like a damaged move, so only two that agree make a mismatch.
-        """
+        """Compare what servos say with what they were told."""
         tolerance = self._plausibility.jump_ticks if quantity is Quantity.POSITION else 0
-
-        def is_right(reply: Reply) -> bool:
-            return abs(reply.values[0] - wanted[reply.servo_id]) <= tolerance
-
-        def accept(reply: Reply, heard: List[Reply]) -> bool:
-            if not self._plausibility.is_possible(quantity, reply):
-                return False
-            if is_right(reply):
-                return True
-            heard.append(reply)
-            return any(self._plausibility.is_near(quantity, reply, one) for one in heard[:-1])
-
+        accept = self._plausibility.comparing(quantity, wanted, tolerance)
         verdicts = {servo_id: Verdict.UNANSWERED for servo_id in wanted}
         for query in self.protocol.query(quantity, list(wanted)):
             for servo_id, reading in self._collect(query, Priority.MOVE, accept).items():
@@ -277,14 +261,19 @@ class Bus:
                 verdicts[servo_id] = Verdict.CONFIRMED if is_same else Verdict.MISMATCH
         return verdicts
 
+    def _strays(self, quantity: Quantity, told: Mapping[int, int]) -> Dict[int, Verdict]:
+        """Return the servos that say something else than they were told some time ago."""
+        if not told:
+            return {}
+        found = self._read_back(quantity, told)
+        return {i: verdict for i, verdict in found.items() if verdict is Verdict.MISMATCH}
+
     def _comparison(self) -> Optional[Quantity]:
         """Return what tells whether a move has arrived, if anything does."""
         known = self.protocol.quantities
-        if Quantity.TARGET in known:
-            return Quantity.TARGET
-        if Quantity.POSITION in known and self.protocol.has_feedback:
-            return Quantity.POSITION
-        return None
+        if not self.protocol.has_feedback:  # a board's memory of a command is none of the servo
+            return None
+        return Quantity.TARGET if Quantity.TARGET in known else Quantity.POSITION
 
     def _collect(self, query: Query, priority: Priority, accept: Accept) -> Dict[int, Reading]:
         """Ask until ``accept`` has taken an answer of every servo, or the budget is gone.

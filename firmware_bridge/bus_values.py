@@ -7,7 +7,7 @@ Source: ours.
 
 import enum
 from dataclasses import dataclass
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 from firmware_bridge.codec.protocol import Quantity, Reply, ServoFlag, ServoProtocol
 
@@ -95,6 +95,9 @@ _JUMPS: Dict[Quantity, int] = {
 _JUMP_SHARE = 0.016
 _MARGIN_SHARE = 0.1  # a shaft can stand a little outside what can be commanded
 
+Accept = Callable[[Reply, List[Reply]], bool]
+"""(an answer, those of the same servo before it that did not count) -> does it count."""
+
 
 class Plausibility:
     """Judge answers by what is possible and by what the servo said before."""
@@ -143,6 +146,30 @@ class Plausibility:
             return False
         self._last[key] = reply
         return True
+
+    def judging(self, quantity: Quantity) -> Accept:
+        """Return ``accept`` for one quantity."""
+
+        def judge(reply: Reply, heard: List[Reply]) -> bool:
+            return self.accept(quantity, reply, heard)
+
+        return judge
+
+    def comparing(self, quantity: Quantity, wanted: Mapping[int, int], tolerance: int) -> Accept:
+        """Return what takes an answer as ``wanted`` at once, another one when it comes twice.
+
+        For a damaged answer looks like a servo that was told something else.
+        """
+
+        def compare(reply: Reply, heard: List[Reply]) -> bool:
+            if not self.is_possible(quantity, reply):
+                return False
+            if abs(reply.values[0] - wanted[reply.servo_id]) <= tolerance:
+                return True
+            heard.append(reply)
+            return any(self.is_near(quantity, reply, one) for one in heard[:-1])
+
+        return compare
 
     def forget(self) -> None:
         """Forget what servos said: after a reconnect nothing is known."""

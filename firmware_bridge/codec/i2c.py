@@ -159,7 +159,6 @@ class I2cPwm(ServoProtocol):
     ticks: ClassVar[Tuple[int, int]] = (500, 2500)
     is_checked: ClassVar[bool] = False
     has_feedback: ClassVar[bool] = False
-    is_half_duplex: ClassVar[bool] = False  # the bus keeps transactions apart
     is_half_duplex: ClassVar[bool] = False  # the host clocks every byte
     quantities = frozenset((Quantity.VOLTAGE,))
 

@@ -293,6 +293,7 @@ class Lsc(ServoProtocol):
     ticks: ClassVar[Tuple[int, int]] = (0, 1000)
     is_checked = False
     has_feedback: ClassVar[bool] = True
+    is_half_duplex: ClassVar[bool] = False  # a line for each way
     quantities: ClassVar[FrozenSet[Quantity]] = frozenset(
         (Quantity.MODEL, Quantity.POSITION, Quantity.VOLTAGE)
     )

@@ -17,6 +17,7 @@ class _Rrc(ServoProtocol):
 
     baud = BAUD
     is_checked = True
+    is_half_duplex = False  # a line for each way
 
     def parser(self) -> Parser:
         """Return a new parser of what the board sends."""

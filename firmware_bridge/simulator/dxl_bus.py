@@ -4,7 +4,7 @@ What nobody here measured is taken the harsh way: torque that is switched on let
 the goal it holds, however old. Source: vendor protocol manual and X series control table.
 """
 
-from typing import List, Sequence, Tuple
+from typing import Callable, Dict, List, Sequence, Tuple
 
 from firmware_bridge.codec import dxl2
 from firmware_bridge.codec.dxl2_frame import BROADCAST, MAX_ID, STATUS, frame_bytes, servo_parser
@@ -20,8 +20,12 @@ from firmware_bridge.simulator.register_bus import RegisterBus, RegisterServo
 from firmware_bridge.simulator.servo import SimServo
 
 FAILED, DATA_RANGE, DATA_LIMIT, ACCESS = 1, 4, 6, 7  # error numbers of a status
-_BITS = {ServoFlag.VOLTAGE: 1, ServoFlag.OVERHEAT: 4, ServoFlag.OVERCURRENT: 16,
-         ServoFlag.STALL: 32}  # fmt: skip
+_BITS = (
+    (int(ServoFlag.VOLTAGE), 1),
+    (int(ServoFlag.OVERHEAT), 4),
+    (int(ServoFlag.OVERCURRENT), 16),
+    (int(ServoFlag.STALL), 32),
+)
 _TIME_BASED = 4  # bit of the drive mode
 
 
@@ -35,8 +39,7 @@ class DxlServo(RegisterServo):
     @property
     def state(self) -> int:
         """The alert bit of its status frames."""
-        self._watch()
-        return dxl2.ALERT if self._errors else 0
+        return dxl2.ALERT if self._watch() else 0
 
     @property
     def baud(self) -> int:
@@ -67,13 +70,17 @@ class DxlServo(RegisterServo):
             self.go()
         return 0
 
-    def refresh_own(self) -> None:
-        """Bring position, velocity and hardware errors up to date."""
+    def look_after_itself(self) -> None:
+        """Note what is wrong, and switch the torque off for it, as soon as it is."""
         self._watch()
-        velocity = int(round(self.servo.speed_ticks_s / TICKS_S_PER_VELOCITY))
-        self.set("present_velocity", velocity)
-        self.set("present_position", self.measured())
-        self.set("hardware_error", self._errors)
+
+    def live(self) -> Dict[str, Callable[[], float]]:
+        """Return which registers tell its state, and what they tell now."""
+        own: Dict[str, Callable[[], float]] = {
+            "present_velocity": lambda: self.servo.speed_ticks_s / TICKS_S_PER_VELOCITY,
+            "hardware_error": self._watch,
+        }
+        return {**super().live(), **own}
 
     def reboot(self) -> None:
         """Start again and forget the hardware errors."""
@@ -87,12 +94,13 @@ class DxlServo(RegisterServo):
     def _offset_ticks(self) -> int:
         return -self.get("homing_offset")
 
-    def _watch(self) -> None:
-        """Keep what is wrong; some of it switches the torque off until a reboot."""
-        flags = self.servo.flags
-        self._errors |= sum(bit for flag, bit in _BITS.items() if flags & flag)
+    def _watch(self) -> int:
+        """Keep and return what is wrong; some of it switches the torque off until a reboot."""
+        flags = int(self.servo.flags)
+        self._errors |= sum(bit for flag, bit in _BITS if flags & flag)
         if self._is_shut_down and self.servo.is_torque_on:
             self.servo.is_torque_on = False
+        return self._errors
 
     @property
     def _is_shut_down(self) -> bool:
@@ -184,8 +192,9 @@ class DxlBus(RegisterBus):
         frames = []
         for servo_id in message.servo_ids:
             for member in self.hearing(servo_id, BROADCAST):
-                data = member.read(message.address, message.n_bytes)
-                frames.append((member, _status(member, 0, data)))
+                if member.answers(is_read=True):
+                    data = member.read(message.address, message.n_bytes)
+                    frames.append((member, _status(member, 0, data)))
         self.answer_in_turn(frames)
 
 

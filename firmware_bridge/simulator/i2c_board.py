@@ -173,7 +173,7 @@ class FakeI2cBus:
         if chance < self.faults.no_acknowledge + self.faults.broken_off:
             raise _os_error(errno.EIO)
         if not message.flags & _READ:
-            self.board.feed(bytes(bytearray(message)))
+            self.board.feed(bytes(list(message)))  # a ctypes structure is no buffer of its bytes
             self._answer = self.board.replies() or self._answer
             return
         data = self._answer

@@ -7,7 +7,7 @@ have a time-out (that of the real ones is not published).
 
 from abc import ABC, abstractmethod
 from collections import deque
-from typing import Deque, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Deque, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from firmware_bridge.codec.parser import Parser
 from firmware_bridge.codec.registers import Register
@@ -17,7 +17,6 @@ from firmware_bridge.simulator.physics import PLAIN
 from firmware_bridge.simulator.servo import SimServo
 
 _SILENCE_S = 0.005
-_BITS_PER_BYTE = 10.0
 _DELAY_UNIT_S = 2e-6
 _MOVING_TICKS_S = 5.0
 
@@ -54,6 +53,7 @@ class RegisterServo(ABC):
             self.set("max_temperature", int(servo.max_temperature_c))
         self._saved = bytes(self._bytes[:eeprom_end])
         self._blank = bytes(self._bytes[eeprom_end:])
+        self._live = [(table[name], look) for name, look in self.live().items()]
         self._tell_mechanics()
         self.refresh()
         self.set("goal_position", self.get("present_position"))
@@ -76,7 +76,7 @@ class RegisterServo(ABC):
 
     def read(self, address: int, n_bytes: int) -> bytes:
         """Return registers as the host reads them now."""
-        self.refresh()
+        self.refresh(address, address + n_bytes)
         return bytes(self._bytes[address : address + n_bytes])
 
     def store(self, address: int, data: bytes, is_kept: bool) -> List[str]:
@@ -104,24 +104,33 @@ class RegisterServo(ABC):
         self._tell_mechanics()
         return names
 
-    def refresh(self) -> None:
-        """Bring the registers that tell its state up to date."""
+    def refresh(self, address: int = 0, end: int = 1 << 16) -> None:
+        """Bring the registers between two addresses that tell its state up to date."""
         servo = self.servo
         if self.get("id") != servo.servo_id:  # somebody set its id with another tool
             self.set("id", servo.servo_id)
             self._saved = bytes(self._bytes[: self.eeprom_end])
-        self.set("torque_enable", int(servo.is_torque_on))
-        self.set("present_voltage", min(max(int(round(servo.supply_mv / 100.0)), 0), 255))
-        self.set("present_temperature", min(max(int(round(servo.temperature_c)), 0), 255))
-        self.set("moving", int(abs(servo.speed_ticks_s) > _MOVING_TICKS_S))
-        load = self._table["present_load"]
-        low, high = load.range
-        self.set("present_load", min(max(int(round(servo.load_permille)), low), high))
-        self.refresh_own()
+        for register, look in self._live:
+            if address < register.end and register.address < end:
+                low, high = register.range
+                value = min(max(int(round(look())), low), high)
+                self._bytes[register.address : register.end] = register.pack(value)
 
-    @abstractmethod
-    def refresh_own(self) -> None:
-        """Bring the registers up to date that the dialect has in its own way."""
+    def look_after_itself(self) -> None:
+        """Do what it does without being told, after each step; nothing here."""
+        return
+
+    def live(self) -> Dict[str, Callable[[], float]]:
+        """Return which registers tell its state, and what they tell now; dialects add theirs."""
+        servo = self.servo
+        return {
+            "torque_enable": lambda: servo.is_torque_on,
+            "present_voltage": lambda: servo.supply_mv / 100.0,
+            "present_temperature": lambda: servo.temperature_c,
+            "present_load": lambda: servo.load_permille,
+            "present_position": self.measured,
+            "moving": lambda: abs(servo.speed_ticks_s) > _MOVING_TICKS_S,
+        }
 
     @abstractmethod
     def obey(self, address: int, data: bytes) -> int:
@@ -271,8 +280,9 @@ class RegisterBus(Firmware):
     def step(self, dt_s: float) -> None:
         """Let ``dt_s`` seconds pass."""
         self.t_s += dt_s
-        for servo in self.servos:
-            servo.step(dt_s)
+        for member in self.members:
+            member.servo.step(dt_s)
+            member.look_after_itself()
         before = self._silent_s
         self._silent_s += dt_s
         if before < _SILENCE_S <= self._silent_s:
@@ -300,15 +310,11 @@ class RegisterBus(Firmware):
         self._out.append((self.t_s + member.delay_s, frame))
 
     def answer_in_turn(self, frames: Sequence[Tuple[RegisterServo, bytes]]) -> None:
-        """Queue answers one behind the other."""
+        """Queue answers one behind the other; the time of their bytes is up to the wire."""
         due_s = self.t_s
         for member, frame in frames:
             due_s += member.delay_s
             self._out.append((due_s, frame))
-            due_s += self._line_s(frame)
-
-    def _line_s(self, frame: bytes) -> float:
-        return _BITS_PER_BYTE * len(frame) / self.line_baud
 
     def _hears(self, member: RegisterServo) -> bool:
         return member.servo.is_answering and member.baud == self.line_baud

@@ -5,7 +5,7 @@ switched on lets the servo go to the goal it holds, however old.
 Source: vendor manual and memory table.
 """
 
-from typing import Sequence
+from typing import Callable, Dict, Sequence
 
 from firmware_bridge.codec import sts
 from firmware_bridge.codec.protocol import ServoFlag
@@ -13,8 +13,12 @@ from firmware_bridge.codec.sts_table import BAUDS, EEPROM_END, N_REGISTERS, REGI
 from firmware_bridge.simulator.register_bus import RegisterBus, RegisterServo
 from firmware_bridge.simulator.servo import SimServo
 
-_BITS = {ServoFlag.VOLTAGE: 1, ServoFlag.ANGLE: 2, ServoFlag.OVERHEAT: 4,
-         ServoFlag.OVERCURRENT: 8, ServoFlag.STALL: 32}  # fmt: skip
+_BITS = (
+    (int(ServoFlag.VOLTAGE), 1),
+    (int(ServoFlag.OVERHEAT), 4),
+    (int(ServoFlag.OVERCURRENT), 8),
+    (int(ServoFlag.STALL), 32),
+)
 _MA_PER_UNIT = 6.5
 _ACCELERATION_UNIT = 100.0
 _CENTRE_HERE, _CENTRE_TICKS = 128, 2048
@@ -29,13 +33,13 @@ class StsServo(RegisterServo):
     @property
     def state(self) -> int:
         """Error bits of its status frames."""
-        flags = self.servo.flags
+        flags = int(self.servo.flags)
         limit = 10.0 * self.get("overload_torque")
         if abs(self.servo.load_permille) > limit > 0.0:
-            flags |= ServoFlag.STALL
+            flags |= int(ServoFlag.STALL)
         if self.servo.current_ma > _MA_PER_UNIT * self.get("protection_current") > 0.0:
-            flags |= ServoFlag.OVERCURRENT
-        return sum(bit for flag, bit in _BITS.items() if flags & flag)
+            flags |= int(ServoFlag.OVERCURRENT)
+        return sum(bit for flag, bit in _BITS if flags & flag)
 
     @property
     def baud(self) -> int:
@@ -72,17 +76,15 @@ class StsServo(RegisterServo):
             self.go()
         return 0
 
-    def refresh_own(self) -> None:
-        """Bring position, speed, current and state up to date."""
+    def live(self) -> Dict[str, Callable[[], float]]:
+        """Return which registers tell its state, and what they tell now."""
         servo = self.servo
-        for name, value in (
-            ("present_position", self.measured()),
-            ("present_speed", servo.speed_ticks_s),
-            ("present_current", servo.current_ma / _MA_PER_UNIT),
-        ):
-            low, high = REGISTERS[name].range
-            self.set(name, min(max(int(round(value)), low), high))
-        self.set("status", self.state)
+        own: Dict[str, Callable[[], float]] = {
+            "present_speed": lambda: servo.speed_ticks_s,
+            "present_current": lambda: servo.current_ma / _MA_PER_UNIT,
+            "status": lambda: self.state,
+        }
+        return {**super().live(), **own}
 
     def _centre_here(self) -> None:
         """Choose the offset so that the shaft stands at the middle from now on."""

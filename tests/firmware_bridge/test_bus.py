@@ -250,6 +250,23 @@ def test_what_frames_of_a_caller_told_other_servos_is_no_mismatch(known):
     assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.CONFIRMED}
 
 
+def test_a_move_that_a_newer_one_replaced_is_not_sent_again(known):
+    bus, line = known
+    newer = Plain().move([ServoTarget(1, 400)], 200)
+    replaced = []
+
+    def replace(data):
+        if data[3] == MOVE and not replaced:
+            replaced.append(data)
+            line.on_write = lambda data: None
+            bus._turns._is_taken = False  # as if another caller had come between
+            bus.send(newer, Priority.MOVE)
+
+    line.on_write = replace
+    assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.MISMATCH}
+    assert line.servos.servos[1].target == 400
+
+
 def test_without_targets_to_read_the_position_is_compared_after_the_move():
     bus, line = make(PlainNoTarget())
     assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.CONFIRMED}

@@ -14,6 +14,7 @@ from firmware_bridge.codec import protocol
 from firmware_bridge.codec.protocol import ServoTarget
 from firmware_bridge.errors import ProtocolError
 from offline_train.benchmarks.firmware.kit import KITS, Kit, kit
+from offline_train.benchmarks.firmware.plain_check import PLAIN
 from offline_train.benchmarks.lines import Line, at_most, note
 
 SUITE = "corruption"
@@ -103,7 +104,7 @@ def kits() -> List[Kit]:
 def measure(scale: float, seed: int) -> List[Line]:
     """Return what damaged moves do, per protocol; below ``scale`` 1.0 a sample of the bursts."""
     rng = random.Random(seed)
-    lines: List[Line] = []
+    lines = plain_lines()
     for under in kits():
         _check_that_it_moves(under)
         every = list(bursts(under.move_frame))
@@ -117,6 +118,18 @@ def measure(scale: float, seed: int) -> List[Line]:
             sent = [one for frame in bus_frames(under) for one in single_bits(frame)]
             lines += _lines(under, "six servos, 1 bit", _sample(sent, scale, rng))
             lines += _lines(under, "six servos, burst <= 8 bits", _sample(damaged, scale, rng))
+    return lines
+
+
+def plain_lines() -> List[Line]:
+    """Return what passes header, length and sum alone: exhaustive, so equal to the known counts."""
+    lines: List[Line] = []
+    for name, plain in PLAIN.items():
+        changes = (single_bits(plain.frame), two_bits(plain.frame), bursts(plain.frame))
+        found = tuple(sum(map(plain.looks_right, frames)) for frames in changes)
+        texts = [" / ".join(str(one) for one in counts) for counts in (found, plain.known)]
+        what = f"{name}: looks right after 1 bit / 2 bits / burst"
+        lines.append(Line(SUITE, what, texts[0], texts[1], found == plain.known))
     return lines
 
 

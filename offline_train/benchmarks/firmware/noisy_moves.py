@@ -37,7 +37,8 @@ class Tally(NamedTuple):
 
     ``n_wrong``: after the first sending a servo held a target that nobody meant; ``n_missed`` of
     them the answer did not name, ``n_late`` came later than allowed; ``n_left`` moves ended with a
-    servo that is not where it should be, and said so.
+    servo that was not told right, and said so; ``n_limp`` switched a torque off, which executes
+    no target and is for the session to see.
     """
 
     n_moves: int
@@ -46,6 +47,7 @@ class Tally(NamedTuple):
     n_missed: int
     n_late: int
     n_left: int
+    n_limp: int
 
 
 class NoisyLine:
@@ -71,9 +73,15 @@ class Watch:
     def __init__(self, firmware: Firmware) -> None:
         self.told: Dict[int, float] = {}
         self.seen: Set[Tuple[int, float]] = set()
-        for servo in servos(firmware).values():
+        self._servos = servos(firmware)
+        for servo in self._servos.values():
             self.told[servo.servo_id] = servo.target
             servo.on_event = self._note
+
+    @property
+    def limp(self) -> Set[int]:
+        """Ids of servos whose torque is off."""
+        return {i for i, servo in self._servos.items() if not servo.is_torque_on}
 
     def _note(self, servo: object, what: str, numbers: Dict[str, float]) -> None:
         if what == "move":
@@ -95,7 +103,7 @@ def count(name: str, n_moves: int, seed: int) -> Tally:
     watch = Watch(firmware)
     meant = {servo_id: middle for servo_id in IDS}
     watch.told.update(meant)
-    n_outside = n_wrong = n_missed = n_late = n_left = 0
+    n_outside = n_wrong = n_missed = n_late = n_left = n_limp = 0
     line.is_on = True
     with Progress(f"moves, {name}", n_moves) as progress:
         for at in range(n_moves):
@@ -108,16 +116,19 @@ def count(name: str, n_moves: int, seed: int) -> Tally:
             n_outside += any(not low <= ticks <= high for _, ticks in watch.seen)
             strays = {i for i, ticks in watch.seen if abs(ticks - meant[i]) > _NEAR_TICKS}
             wrong = {i for i, told in watch.told.items() if abs(told - meant[i]) > _NEAR_TICKS}
+            limp = watch.limp
+            wrong -= limp
             named = {i for i, verdict in verdicts.items() if verdict is not Verdict.CONFIRMED}
             n_wrong += bool(strays)
             n_missed += bool(wrong - named)
             n_late += bool(wrong) and lasted_s > LATE_S
             n_left += bool(named)
-            if named or wrong:
+            n_limp += bool(limp)
+            if named or wrong or limp:
                 _put_right(bus, line, meant)
                 watch.told.update(meant)
             progress.advance()
-    return Tally(n_moves, n_outside, n_wrong, n_missed, n_late, n_left)
+    return Tally(n_moves, n_outside, n_wrong, n_missed, n_late, n_left, n_limp)
 
 
 def measure(scale: float, seed: int) -> List[Line]:
@@ -133,6 +144,7 @@ def measure(scale: float, seed: int) -> List[Line]:
             at_most(SUITE, f"{what}: noticed later than 100 ms", tally.n_late, 0, "{:.0f}"),
             note(SUITE, f"{what}: a wrong target was executed", tally.n_wrong, "{:.0f}"),
             note(SUITE, f"{what}: reported wrong after all tries", tally.n_left, "{:.0f}"),
+            note(SUITE, f"{what}: switched a torque off", tally.n_limp, "{:.0f}"),
         ]
     for name in UNVERIFIABLE:
         lines.append(_says_so(name))
@@ -178,5 +190,6 @@ def _next_target(
 def _put_right(bus: Bus, line: NoisyLine, meant: Dict[int, int]) -> None:
     """Bring all servos back to where they should be, over a quiet line."""
     line.is_on = False
+    bus.send(bus.protocol.torque(IDS, True), Priority.MOVE)
     bus.move([ServoTarget(i, ticks, _TICKS_S) for i, ticks in meant.items()], _DURATION_MS)
     line.is_on = True

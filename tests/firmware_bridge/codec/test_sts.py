@@ -13,6 +13,7 @@ from firmware_bridge.errors import ProtocolError
 from offline_train.benchmarks.firmware import kit_sts
 
 ids = st.integers(0, sts.MAX_ID)
+KINDS = ("ping", "read", "write", "reg", "action", "sync-read", "sync-write")
 id_lists = st.lists(ids, min_size=1, max_size=12, unique=True).map(tuple)
 
 
