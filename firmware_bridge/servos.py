@@ -120,7 +120,8 @@ class Servos:
         self.grip_ticks = at + min(max(goal - at, -most), most)
         if is_alone:
             target = ServoTarget(gripper.servo_id, self.grip_ticks, max(1, int(rate)))
-            self.bus.move([target], math.ceil(rhythm.horizon_s * 1000.0), is_verified=False)
+            is_verified = self.can_verify and self.grip_ticks == goal
+            self.bus.move([target], math.ceil(rhythm.horizon_s * 1000.0), is_verified)
         return True
 
     def write_limits(self, servo_id: int, low: int, high: int) -> None:

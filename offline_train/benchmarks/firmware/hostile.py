@@ -87,7 +87,9 @@ def measure(scale: float, seed: int) -> List[Line]:
     wrong = sum(log.faults.values())
     found = ", ".join(f"{what} {n}" for what, n in log.faults.most_common(3) if what)
     return [
-        at_most(SUITE, f"violating frames of {log.n_frames}: {found or 'none'}", wrong, 0, "{:.0f}"),
+        at_most(
+            SUITE, f"violating frames of {log.n_frames}: {found or 'none'}", wrong, 0, "{:.0f}"
+        ),
         at_most(SUITE, f"faults of the session in {n_targets} targets", n_faults, 0, "{:.0f}"),
         at_least(SUITE, "targets accepted, so that something moves", n_accepted, 1, "{:.0f}"),
         note(SUITE, "share accepted", n_accepted / n_targets),

@@ -1,4 +1,4 @@
-"""A live arm for the proofs: a served board with faults, the session on it, and a swing to and fro."""
+"""A live arm for the proofs: a served board with faults, a session on it, a swing to and fro."""
 
 import contextlib
 import logging

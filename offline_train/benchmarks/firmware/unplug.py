@@ -1,5 +1,6 @@
 """Unplug and replug: seen at once, usable again within a second, and nothing moves by itself."""
 
+import contextlib
 import os
 import threading
 import time
@@ -72,10 +73,8 @@ def cycle(live: LiveArm, swinger: Swinger, after_s: float) -> Dict[str, float]:
     detected_s = float("inf")
     end_s = time.monotonic() + 3.0
     while time.monotonic() < end_s:
-        try:
+        with contextlib.suppress(ArmError):
             swinger.turn()
-        except ArmError:
-            pass
         if live.session.state is SessionState.FAULT:
             detected_s = time.monotonic() - pulled[0]
             break
