@@ -6,6 +6,7 @@ I/O, so nothing in here waits for a tick under way.
 
 import contextlib
 import logging
+import math
 import threading
 from typing import Callable, Dict, Iterator, List, Optional, Union
 
@@ -20,12 +21,14 @@ from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.links.base import Link
 from firmware_bridge.motion import Motion, rhythm_of
 from firmware_bridge.servos import Servos
-from firmware_bridge.states import LATCHED, UP, SessionState
+from firmware_bridge.states import LATCHED, UP, JointState, SessionState
 from firmware_bridge.supervision import Supervision
+from firmware_bridge.telemetry import Telemetry
 from firmware_bridge.watch import TORQUE_OFF, WARN, Kind, Policy, Trouble
 from firmware_bridge.watching import Watching
 
 _LOG = logging.getLogger(__name__)
+_OLD_S = 0.06  # an older measurement says less of a moving arm than what it was told
 
 
 class SessionCore:
@@ -41,6 +44,7 @@ class SessionCore:
     ) -> None:
         self.model = arm
         self.reason = ""
+        self.n_late_ticks = 0
         self.bus = (
             link if isinstance(link, Bus) else Bus(protocol(arm.bus.protocol), link, None, clock)
         )
@@ -84,6 +88,33 @@ class SessionCore:
                 self._supervision.clear()
                 is_open = self.bus.is_open
                 self._state_is(SessionState.CONNECTED if is_open else SessionState.CLOSED, "")
+
+    @property
+    def battery_v(self) -> float:
+        """The supply's voltage as the board, or the worst servo, last told it; NaN before."""
+        told = self._watching.telemetry()
+        volts = [float(v) for v in told.voltage_v if math.isfinite(v)]
+        return min(volts) if volts else told.board_v
+
+    def read(self) -> JointState:
+        """Return where the arm is: measured by the last tick, else as commanded now."""
+        now_s, motion = self._clock(), self._motion
+        is_moving = self._state is SessionState.MOVING
+        seen = self._watching.seen
+        if seen is None:
+            return motion.state(now_s, is_moving)
+        return seen.state(now_s, is_moving)
+
+    def telemetry(self) -> Telemetry:
+        """Return what the servos last said of heat, supply, load and torque."""
+        return self._watching.telemetry()
+
+    def stats(self) -> Dict[str, int]:
+        """Return counters since the session was made: its own, the bus's and the supervisor's."""
+        counts = {**self._counts, "late ticks": int(self.n_late_ticks)}
+        counts.update({f"bus {k}": int(v) for k, v in vars(self.bus.stats).items()})
+        counts.update(self._supervision.counts())
+        return counts
 
     def _look(self) -> None:
         """Measure and judge; the lock is not held while servos are asked."""
@@ -160,7 +191,8 @@ class SessionCore:
         """Return where the arm is (k,): as measured, where it can be, else as commanded."""
         commanded = self._motion.at(now_s)
         seen = self._watching.seen
-        if seen is None or self._state is not SessionState.MOVING:
+        is_old = seen is None or now_s - seen.t_s > _OLD_S
+        if seen is None or is_old or self._state is not SessionState.MOVING:
             return commanded
         measured = seen.at(now_s)
         here: Array = np.where(np.isfinite(measured), measured, commanded)

@@ -8,7 +8,7 @@ sooner). Poses are measured where servos can be asked; others are commanded ones
 import contextlib
 import logging
 import math
-from typing import Callable, Dict, Optional, Union
+from typing import Callable, Optional, Union
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.links.base import Link
 from firmware_bridge.motion import HORIZON_S, Motion
 from firmware_bridge.states import LATCHED, UP, JointState, MoveReport, SessionState, refusal
-from firmware_bridge.telemetry import Telemetry
 from firmware_bridge.watch import HOLD, Kind, Policy, Trouble
 
 _LOG = logging.getLogger(__name__)
@@ -58,7 +57,6 @@ class ArmSession(SessionCore):
         deadman: Optional[Deadman] = None,
     ) -> None:
         super().__init__(arm, link, clock, policy, deadman)
-        self.n_late_ticks = 0
         self.findings: Optional[Findings] = None
         self._limits = limits if limits is not None else arm.workspace
 
@@ -66,13 +64,6 @@ class ArmSession(SessionCore):
     def can_move(self) -> bool:
         """Say whether ``move`` would look at a path: armed, and not still on the way home."""
         return self._state in UP and self._arming_until_s is None
-
-    @property
-    def battery_v(self) -> float:
-        """The supply's voltage as the board, or the worst servo, last told it; NaN before."""
-        told = self._watching.telemetry()
-        volts = [float(v) for v in told.voltage_v if math.isfinite(v)]
-        return min(volts) if volts else told.board_v
 
     def open(self) -> None:
         """Open the link; a latched FAULT or ESTOP stays until ``reset``.
@@ -296,26 +287,6 @@ class ArmSession(SessionCore):
                     self._enter(SessionState.CONNECTED)
                 self._supervision.beat(self._motion, self._state, self._clock())
             return is_done
-
-    def read(self) -> JointState:
-        """Return where the arm is: measured by the last tick, else as commanded now."""
-        now_s, motion = self._clock(), self._motion
-        is_moving = self._state is SessionState.MOVING
-        seen = self._watching.seen
-        if seen is None:
-            return motion.state(now_s, is_moving)
-        return seen.state(now_s, is_moving)
-
-    def telemetry(self) -> Telemetry:
-        """Return what the servos last said of heat, supply, load and torque."""
-        return self._watching.telemetry()
-
-    def stats(self) -> Dict[str, int]:
-        """Return counters since the session was made: its own, the bus's and the supervisor's."""
-        counts = {**self._counts, "late ticks": int(self.n_late_ticks)}
-        counts.update({f"bus {k}": int(v) for k, v in vars(self.bus.stats).items()})
-        counts.update(self._supervision.counts())
-        return counts
 
     def _arm_measured(self) -> None:
         self.findings = shake_hands(self.servos, self._clock)
