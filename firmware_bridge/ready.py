@@ -44,13 +44,15 @@ class ReadyArm:
     sleep : lets time pass between two ticks of the session.
     policy : what counts as a fault of a servo.
     is_supervised : None: when ``clock`` is the system's own.
+    is_homing : go home when it is ready; False: stay where the servos stand, if they can tell.
+    link : used instead of what ``port`` names.
 
     Raises
     ------
     ArmError : the port cannot be opened, or the arm does not get ready.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each has a default that fits
         self,
         arm: ArmModel,
         port: str,
@@ -58,12 +60,14 @@ class ReadyArm:
         sleep: Callable[[float], None] = time.sleep,
         policy: Optional[Policy] = None,
         is_supervised: Optional[bool] = None,
+        is_homing: bool = True,
+        link: Optional[Link] = None,
     ) -> None:
         self._clock, self._sleep = clock, sleep
         is_real = clock is time.monotonic if is_supervised is None else is_supervised
-        self.session = ArmSession(
-            arm, link_of(arm, port), clock, None, policy, Deadman() if is_real else None
-        )
+        self._is_homing = is_homing
+        way = link_of(arm, port) if link is None else link
+        self.session = ArmSession(arm, way, clock, None, policy, Deadman() if is_real else None)
         self.tick_s = self.session.rhythm.tick_s
 
     def __enter__(self) -> "ReadyArm":
@@ -72,7 +76,7 @@ class ReadyArm:
         try:
             self.session.arm()
             self._wait(ARMING_S, "get ready")
-            if self.session.servos.has_feedback:
+            if self._is_homing and self.session.servos.has_feedback:
                 self.home()
         except BaseException:
             self.session.close()

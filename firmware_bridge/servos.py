@@ -9,7 +9,7 @@ import numpy as np
 from apex_edge.types import Array
 from firmware_bridge.bus import Bus, Priority, Reading, Verdict
 from firmware_bridge.codec.protocol import Quantity, ServoFlag, ServoTarget
-from firmware_bridge.errors import MotionRefused
+from firmware_bridge.errors import MotionRefused, NoReply
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.motion import Rhythm
 from firmware_bridge.states import MEASURED, JointState
@@ -146,6 +146,28 @@ class Servos:
         if frames:
             self.bus.send(frames, Priority.MOVE if is_on else Priority.STOP)
         return bool(frames)
+
+    def switch_on_here(self, servo_ids: Sequence[int]) -> bool:
+        """Switch torque on where each servo stands, so that none jumps to what it was told before.
+
+        Say whether the protocol can.
+
+        Raises
+        ------
+        NoReply : a servo does not say where it stands; nothing is switched. LinkLost : gone.
+        """
+        if not self.bus.protocol.torque(tuple(servo_ids), True):
+            return False
+        found = self.bus.read(Quantity.POSITION, servo_ids)
+        silent = [i for i in servo_ids if i not in found]
+        if silent:
+            raise NoReply(
+                f"{self.name_of(silent[0])} (id {silent[0]}) does not say where it stands"
+            )
+        low, high = self.arm.tick_range
+        at = [ServoTarget(i, min(max(found[i].values[0], low), high)) for i in servo_ids]
+        self.bus.send(self.bus.protocol.stop(at), Priority.STOP)
+        return self.switch(True, servo_ids)
 
     def measure(self, but: Sequence[int] = (), before: Optional[Measured] = None) -> Measured:
         """Ask all servos for their positions, those in ``but`` left out.

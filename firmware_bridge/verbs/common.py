@@ -9,7 +9,7 @@ import numpy as np
 
 from apex_edge.errors import ConfigError
 from apex_edge.types import Array
-from firmware_bridge.bus import Bus
+from firmware_bridge.bus import Bus, BusSettings
 from firmware_bridge.codec import protocol
 from firmware_bridge.errors import NoSuchPort
 from firmware_bridge.kinematics import ArmModel
@@ -22,6 +22,7 @@ from firmware_bridge.simulator.make import firmware
 
 SLOW = 0.25
 """Share of the arm's rates that a person's hand can follow."""
+_PATIENT = BusSettings(budget_s=0.2)  # nothing moves meanwhile, and a person waits
 
 
 def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +71,7 @@ def listening(args: argparse.Namespace) -> Iterator[Servos]:
     """
     arm = ArmModel.load(args.arm)
     spoken = protocol(arm.bus.protocol)
-    bus = Bus(spoken, open_link(port_of(args), spoken))
+    bus = Bus(spoken, open_link(port_of(args), spoken), _PATIENT)
     bus.open()
     try:
         yield Servos(arm, bus)
@@ -91,12 +92,12 @@ def moving(args: argparse.Namespace) -> Iterator[ReadyArm]:
         raise ConfigError(f"--speed {args.speed}: expected more than 0 and at most 1")
     arm = ArmModel.load(args.arm)
     if not args.dry_run:
-        with ReadyArm(arm, port_of(args), time.monotonic) as ready:
+        with ReadyArm(arm, port_of(args), time.monotonic, is_homing=False) as ready:
             yield ready
         return
     clock = _Clock()
-    link = DryLink(clock.now, clock.wait, firmware(arm.bus.protocol, arm), _tell)
-    with ReadyArm(arm, "dry run", clock.now, clock.wait, link=link) as ready:
+    link = DryLink(clock.now, clock.wait, firmware(arm.bus.protocol, args.arm), _tell)
+    with ReadyArm(arm, "dry run", clock.now, clock.wait, is_homing=False, link=link) as ready:
         yield ready
 
 
