@@ -3,6 +3,7 @@
 import argparse
 
 from apex_edge.errors import ConfigError
+from firmware_bridge.codec.protocol import Quantity
 from firmware_bridge.verbs.common import add_arm_arguments, joint_index, listening
 
 HELP = "switch the servos' torque; off lets the arm fall"
@@ -19,6 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Switch it; before torque goes on, each servo is told to stay where it stands.
 
+    1 when a servo that can be asked is not as it should be afterwards.
+
     Raises
     ------
     ConfigError : servos that have no such switch. NoReply : a servo does not say where it stands.
@@ -32,5 +35,12 @@ def run(args: argparse.Namespace) -> int:
         is_done = servos.switch_on_here(ids) if is_on else servos.switch(False, ids)
         if not is_done:
             raise ConfigError(f"{arm.name}: {arm.bus.protocol} servos have no torque switch")
+        if Quantity.TORQUE in servos.bus.protocol.quantities:
+            found = servos.bus.read(Quantity.TORQUE, ids)
+            wrong = [i for i in ids if i not in found or bool(found[i].values[0]) != is_on]
+        else:
+            wrong = []
     print(f"torque {args.switch}: ids {', '.join(map(str, ids))}")
-    return 0
+    for servo_id in wrong:
+        print(f"trouble: id {servo_id} does not say that its torque is {args.switch}")
+    return 1 if wrong else 0
