@@ -1,13 +1,18 @@
 """``apex arm estop``: stop an arm that no program of ours holds."""
 
 import argparse
+import time
+from typing import List
 
 import numpy as np
 
+from firmware_bridge.servos import Servos
 from firmware_bridge.verbs.common import add_arm_arguments, listening
 
 HELP = "stop all servos where they stand; with --torque-off let go of the arm"
 EXAMPLE = "apex arm estop --arm lx16a-arm --port /dev/ttyUSB0"
+_SETTLE_S = 0.15  # a light arm swings on after a stop
+_STILL_RAD = 0.02
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send the stop before anything else; 1 when the servos cannot be told to stop.
+    """Send the stop before anything else; 1 when it cannot be told, or is not seen, to work.
 
     Raises
     ------
@@ -37,5 +42,17 @@ def run(args: argparse.Namespace) -> int:
                 print("these servos stop by themselves at the end of their last short command")
                 return 1
             servos.bus.urgent(servos.stop_frames(told))
-    print("stopped")
-    return 0
+        moving = _still_moving(servos) if servos.has_feedback else []
+    for name in moving:
+        print(f"trouble: {name} still moves, or does not say where it stands")
+    print("stopped" if not moving else "NOT everything stopped: switch the supply off")
+    return 1 if moving else 0
+
+
+def _still_moving(servos: Servos) -> List[str]:
+    """Return the joints that are not seen to stand still, some time after the stop."""
+    time.sleep(_SETTLE_S)
+    before = servos.measure().q_rad
+    time.sleep(_SETTLE_S)
+    way = np.abs(servos.measure().q_rad - before)
+    return [name for name, rad in zip(servos.arm.joint_names, way) if not rad < _STILL_RAD]
