@@ -22,6 +22,7 @@ _SLICE_S = 0.002  # longest wait without a look at what became urgent
 _SILENCE_S = 0.001  # as long as this after the last byte nothing of the same answer comes
 _DEFAULT_BAUD = 1_000_000
 _BOARD = -1
+_LONG_S = 1.0  # longer than any one answer takes
 
 
 class _Outcome(NamedTuple):
@@ -163,24 +164,24 @@ class Bus:
         compare = self._comparison()
         if compare is None or not is_verified:
             return {target.servo_id: Verdict.UNVERIFIABLE for target in targets}
-        verdicts: Dict[int, Verdict] = {}
-        left, n_sent = list(targets), 1
-        while True:
+        wanted = _ticks(targets)
+        others = {i: ticks for i, ticks in others.items() if i not in wanted}
+        verdicts = {servo_id: Verdict.CONFIRMED for servo_id in wanted}
+        left, n_sent, is_over = list(targets), 1, False
+        while left and not is_over:
             if compare is Quantity.POSITION:
                 self._let_pass(duration_ms / 1000.0 + self.settings.settle_s, mark)
-            verdicts.update(self._read_back(compare, _ticks(left)))
-            left = [t for t in left if verdicts[t.servo_id] is not Verdict.CONFIRMED]
+            found = self._read_back(compare, _ticks(left), others)
+            verdicts.update(found)
+            left = [t for t in left if found[t.servo_id] is not Verdict.CONFIRMED]
             is_over = self._is_overtaken(mark) or self._n_moves != n_moves
             if not left or is_over or n_sent >= self.settings.n_move_tries:
                 break
             n_sent += 1
             self.stats.retries += 1
             self._send(self.protocol.move(left, duration_ms), Priority.MOVE, mark)
-        others = {i: ticks for i, ticks in others.items() if i not in _ticks(targets)}
         if not is_over:
-            if n_sent > 1 or left:
-                verdicts.update(self._strays(compare, others))
-            self._told = {**others, **_ticks(targets)}
+            self._told = {**others, **wanted}
         return verdicts
 
     def urgent(self, frames: Sequence[bytes], is_latched: bool = True) -> float:
@@ -250,23 +251,37 @@ class Bus:
 
     # -- asking -------------------------------------------------------------------------------
 
-    def _read_back(self, quantity: Quantity, wanted: Mapping[int, int]) -> Dict[int, Verdict]:
-        """Compare what servos say with what they were told."""
+    def _read_back(
+        self, quantity: Quantity, wanted: Mapping[int, int], others: Mapping[int, int]
+    ) -> Dict[int, Verdict]:
+        """Compare what servos say with what they were told.
+
+        If one look does not show all of ``wanted`` right, ``others`` are asked too; of those only
+        the ones that say something else are in the answer.
+        """
         tolerance = self._plausibility.jump_ticks if quantity is Quantity.POSITION else 0
-        accept = self._plausibility.comparing(quantity, wanted, tolerance)
+        if self._looks_right(quantity, wanted, tolerance):
+            return {servo_id: Verdict.CONFIRMED for servo_id in wanted}
+        told = {**others, **wanted}
+        accept = self._plausibility.comparing(quantity, told, tolerance)
         verdicts = {servo_id: Verdict.UNANSWERED for servo_id in wanted}
-        for query in self.protocol.query(quantity, list(wanted)):
+        for query in self.protocol.query(quantity, list(told)):
             for servo_id, reading in self._collect(query, Priority.MOVE, accept).items():
-                is_same = abs(reading.values[0] - wanted[servo_id]) <= tolerance
-                verdicts[servo_id] = Verdict.CONFIRMED if is_same else Verdict.MISMATCH
+                if abs(reading.values[0] - told[servo_id]) > tolerance:
+                    verdicts[servo_id] = Verdict.MISMATCH
+                elif servo_id in wanted:
+                    verdicts[servo_id] = Verdict.CONFIRMED
         return verdicts
 
-    def _strays(self, quantity: Quantity, told: Mapping[int, int]) -> Dict[int, Verdict]:
-        """Return the servos that say something else than they were told some time ago."""
-        if not told:
-            return {}
-        found = self._read_back(quantity, told)
-        return {i: verdict for i, verdict in found.items() if verdict is Verdict.MISMATCH}
+    def _looks_right(self, quantity: Quantity, wanted: Mapping[int, int], tolerance: int) -> bool:
+        """Ask once; say whether all servos answered what they were told."""
+        for query in self.protocol.query(quantity, list(wanted)):
+            replies = [reply for reply, _ in self._ask(query, Priority.MOVE, _LONG_S).replies]
+            right = [r for r in replies if abs(r.values[0] - wanted[r.servo_id]) <= tolerance]
+            if {reply.servo_id for reply in right} != set(query.servo_ids):
+                return False
+            self.stats.answered += len(right)
+        return True
 
     def _comparison(self) -> Optional[Quantity]:
         """Return what tells whether a move has arrived, if anything does."""

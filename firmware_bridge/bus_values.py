@@ -53,7 +53,7 @@ class BusSettings:
     budget_s: float = 0.025
     n_move_tries: int = 2
     max_jump_ticks: Optional[int] = None
-    settle_s: float = 0.03
+    settle_s: float = 0.02
 
 
 @dataclass

@@ -272,8 +272,8 @@ def test_without_targets_to_read_the_position_is_compared_after_the_move():
     assert bus.move([ServoTarget(1, 600)], 200) == {1: Verdict.CONFIRMED}
     assert line.clock() >= 0.2
     line.commands = [lambda data: b"", *[None] * 9]
-    assert bus.move([ServoTarget(1, 300)], 100) == {1: Verdict.CONFIRMED}
-    assert line.servos.servos[1].target == 300
+    assert bus.move([ServoTarget(1, 500)], 100) == {1: Verdict.CONFIRMED}
+    assert line.servos.servos[1].target == 500
 
 
 def test_a_protocol_without_feedback_says_that_it_cannot_tell():

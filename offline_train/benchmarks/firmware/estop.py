@@ -26,8 +26,8 @@ SUITE = "estop"
 N_STOPS = 200
 LIMIT_MS = 2.0
 _N_MOVERS = _N_READERS = 4
-_N_QUEUED = 10  # moves in each list
-_LET_RUN_S = (0.01, 0.03)
+_N_QUEUED = 2  # moves in each list
+_LET_RUN_S = (0.01, 0.2)
 _POLL_S = 0.0002
 _MOVE_MS = 2000
 
@@ -209,5 +209,5 @@ def measure(scale: float, seed: int) -> List[Line]:
         at_least(SUITE, f"{what}: arm holds still afterwards", n_holding, n_stops, "{:.0f}"),
         note(SUITE, f"{what}: call to last byte, median, ms by the clock", walls_ms[n_stops // 2]),
         note(SUITE, f"{what}: call to last byte, slowest, ms by the clock", walls_ms[-1]),
-        note(SUITE, f"{what}: sent twice, an answer was due", n_twice, "{:.0f}"),
+        note(SUITE, f"{what}: sent again, since an answer was due", n_twice, "{:.0f}"),
     ]
