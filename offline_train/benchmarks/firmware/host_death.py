@@ -113,7 +113,7 @@ def host_main(protocol: str, port: str, told: Connection) -> None:
     session.open()
     session.arm(None if session.servos.has_feedback else arm.home_rad)
     swinger = Swinger(session)
-    swinger.until(lambda: swinger.n_swings > 0, 1.0)
+    swinger.until(lambda: swinger.n_swings > 1, 3.0)  # the first may be no way at all
     told.send(deadman.pid)
     with contextlib.suppress(ArmError):
         swinger.until(lambda: session.state is SessionState.FAULT, 60.0)
