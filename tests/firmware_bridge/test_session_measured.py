@@ -203,9 +203,8 @@ def test_the_gripper_opens_step_by_step(sts):
     gripper = sts.arm.gripper
     sts.session.grip(1.0)
     assert sts.tick_until(lambda: not sts.session.is_gripping)
-    sts.tick_for(0.3)
-    at = {servo.servo_id: servo.actual for servo in servos_of(sts.firmware)}
-    assert at[gripper.servo_id] == pytest.approx(gripper.open_ticks, abs=20)
+    (servo,) = [one for one in servos_of(sts.firmware) if one.servo_id == gripper.servo_id]
+    assert sts.tick_until(lambda: abs(servo.actual - gripper.open_ticks) < 20.0)
 
 
 def test_telemetry_tells_of_every_servo(sts):
