@@ -19,7 +19,7 @@ _MAX_SAMPLE_RAD = 0.05
 _MAX_SAMPLE_M = 0.011  # of the tip's way when one joint turns: a longer arm is sampled more often
 _FINER = 8  # once more so fine where a limit is near, so that no dip between samples is missed
 _LOST_RAD = 3.2  # farther beyond a limit no arm can stand
-# Set-points reach a board up to 2 ms late: one of 0.1 s has to catch up by 2 %, and ticks are whole.
+# Set-points reach a board up to 2 ms late: one of 0.1 s must catch up by 2 %, and ticks are whole.
 _STREAM_SHARE = 0.95
 _EPS_RAD = 1e-9
 _EPS_M = 1e-9

@@ -19,7 +19,6 @@ from firmware_bridge.session import ArmSession, SessionState
 from firmware_bridge.watch import Policy
 
 ARMING_S = 6.0
-TICK_S = 0.02
 HOME_SHARE = 0.15  # of the arm's rates
 _SETTLE_S = 0.3  # on top of the arm's lag: a light arm swings on after a stop
 _OVERTIME_S = 5.0
@@ -69,6 +68,7 @@ class ReadyArm:
         way = link_of(arm, port) if link is None else link
         self.session = ArmSession(arm, way, clock, None, policy, Deadman() if is_real else None)
         self.tick_s = self.session.rhythm.tick_s
+        self._next_s = clock()
 
     def __enter__(self) -> "ReadyArm":
         """Open, arm, and wait until the arm is home."""
@@ -107,8 +107,7 @@ class ReadyArm:
         self.session.grip(share)
         give_up_s = self._clock() + _OVERTIME_S
         while self.session.is_gripping and self._clock() < give_up_s:
-            self._sleep(self.tick_s)
-            self.session.tick()
+            self._tick()
 
     def go(self, goal_rad: Array, rate_share: float) -> None:
         """Move straight to joints (k,) at a share of the arm's rates, and wait until it stands.
@@ -127,17 +126,23 @@ class ReadyArm:
         self._wait(float(report.duration_s.sum()) + _OVERTIME_S, "arrive")
         self._rest(model.lag_s + _SETTLE_S)
 
+    def _tick(self) -> None:
+        """Wait for the next beat of the session's rhythm; a tick that took long is no reason to."""
+        wait_s = self._next_s - self._clock()
+        if wait_s > 0.0:
+            self._sleep(wait_s)
+        self._next_s = self._clock() + self.tick_s
+        self.session.tick()
+
     def _rest(self, seconds: float) -> None:
         end_s = self._clock() + seconds
         while self._clock() < end_s:
-            self._sleep(self.tick_s)
-            self.session.tick()
+            self._tick()
 
     def _wait(self, seconds: float, what: str) -> None:
         give_up_s = self._clock() + seconds
         while self.session.state is not SessionState.ARMED:
-            self._sleep(self.tick_s)
-            self.session.tick()
+            self._tick()
             is_stuck = self.session.state not in (SessionState.MOVING, SessionState.ARMED)
             if is_stuck or self._clock() > give_up_s:
                 raise ArmError(

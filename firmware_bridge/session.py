@@ -242,6 +242,8 @@ class ArmSession(SessionCore):
                     self._advance(self._clock())
                 self._supervision.beat(self._motion, self._state, self._clock())
             self._look()
+        with self._lock:  # on a slow line looking takes most of what the host may be silent
+            self._supervision.beat(self._motion, self._state, self._clock())
 
     def stop(self) -> None:
         """Hold where the arm is. Does nothing when nothing moves.
