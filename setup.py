@@ -122,6 +122,15 @@ setup(
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",
+            "ping = firmware_bridge.verbs.ping",
+            "read = firmware_bridge.verbs.read",
+            "move = firmware_bridge.verbs.move",
+            "jog = firmware_bridge.verbs.jog",
+            "home = firmware_bridge.verbs.home",
+            "torque = firmware_bridge.verbs.torque",
+            "estop = firmware_bridge.verbs.estop",
+            "watch = firmware_bridge.verbs.watch",
+            "calibrate-servo = calib.verbs.servo",
         ],
     },
 )

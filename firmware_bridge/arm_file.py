@@ -17,11 +17,11 @@ ARMS = Path(__file__).parent / "arms"
 _SECTIONS = ("bus", "links", "pitch", "home", "gripper", "workspace", "body", "joints")
 _MAX_LIKE = 8
 PULSE_MIN_US, PULSE_MAX_US = 500, 2500
-# What each protocol's servos take; [bus] low_ticks and high_ticks say otherwise, e.g. for an LSC
-# board that drives PWM servos.
+# What each protocol's servos take, unless [bus] low_ticks and high_ticks say otherwise.
 _TICK_RANGES: Dict[str, Tuple[int, int]] = {
     "lx16a": (0, 1000),
     "lsc": (0, 1000),
+    "lsc-pwm": (500, 2500),
     "rrc": (PULSE_MIN_US, PULSE_MAX_US),
     "rrc-bus": (0, 1000),
     "sts": (0, 4095),

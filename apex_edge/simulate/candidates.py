@@ -65,7 +65,8 @@ def candidate_grid(
 
 def _closest_grid(arm: ArmModel, n: int, config: CandidatesConfig) -> Array:
     """Return the reachable points (m, 2), m >= n, of the widest grid that has as many."""
-    everywhere = _Region(0.0, arm.links.reach_m, -np.pi, np.pi)
+    far_m = arm.links.reach_m + float(np.hypot(*arm.links.axis_m))
+    everywhere = _Region(0.0, far_m, -np.pi, np.pi)
     coarse = _grid(arm, _FIRST_SPACING_M, everywhere, config)
     region = _around(coarse, _FIRST_SPACING_M) if len(coarse) else everywhere
     # The number goes with 1 / spacing^2: jump to a little too wide, then close in.

@@ -17,7 +17,6 @@ from apex_edge.narrate import Narrator, planner_line
 from apex_edge.outputs import RunOutputs
 from apex_edge.planners.build import build_planner
 from apex_edge.rate import Pacer
-from apex_edge.rig import TICK_S
 from apex_edge.sink import Sink
 from apex_edge.types import Step
 from firmware_bridge.ready import ReadyArm
@@ -129,7 +128,7 @@ def _run_live(kit: Kit, on_step: OnStep, seconds: float) -> None:
                 )
             session = stack.enter_context(ReadyArm(kit.arm, config.arm.port, clock)).session
             actuator = kit.actuator(session)
-            stack.enter_context(Pacer(session.tick, TICK_S))
+            stack.enter_context(Pacer(session.tick, session.rhythm.tick_s))
         end_s = clock() + seconds if seconds is not None else float("inf")
         agent = kit.agent(clock, planner, actuator)
         stale_s = max(STALE_S, 3.0 / config.camera.fps)

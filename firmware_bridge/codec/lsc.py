@@ -197,8 +197,9 @@ def _validate(message: Union[ToBoard, FromBoard]) -> None:
         low, high = _COMMAND_TICKS if is_move else _MEASURED_TICKS
         pairs = message.targets if isinstance(message, Move) else message.positions
         _require_ids([pair[0] for pair in pairs])
-        for pair in pairs:
-            require("servo position", pair[1], low, high)
+        for _, ticks in pairs:
+            if type(ticks) is not int or not low <= ticks <= high:  # a call per value takes longer
+                require("servo position", ticks, low, high)
         if isinstance(message, Move):
             require("duration_ms", message.duration_ms, *_RANGES["duration_ms"])
     elif isinstance(message, (Unload, PositionRequest)):
@@ -211,7 +212,8 @@ def _validate(message: Union[ToBoard, FromBoard]) -> None:
 def _require_ids(servo_ids: Sequence[int]) -> None:
     require("number of servos", len(servo_ids), 1, MAX_SERVOS)
     for servo_id in servo_ids:
-        require("servo id", servo_id, 1, 253)
+        if type(servo_id) is not int or not 1 <= servo_id <= 253:
+            require("servo id", servo_id, 1, 253)
     if len(set(servo_ids)) != len(servo_ids):
         raise ProtocolError(f"a frame names a servo twice: {list(servo_ids)}")
 

@@ -50,15 +50,21 @@ class _Field(NamedTuple):
     high: int
 
 
-class _Layout:
-    """The parameters of one command in one direction."""
+class Layout:
+    """The parameters of one command in one direction; ``length`` is what its LEN byte says."""
 
     def __init__(self, *fields: _Field) -> None:
         self.fields = fields
         self.struct = struct.Struct("<" + "".join(field.code for field in fields))
-        self.length = 3 + self.struct.size  # what the LEN byte says
+        self.length = 3 + self.struct.size
 
     def require(self, values: Sequence[int]) -> None:
+        """Refuse values that are not these.
+
+        Raises
+        ------
+        ProtocolError : too many, too few, or one out of its range.
+        """
         if len(values) != len(self.fields):
             names = ", ".join(field.name for field in self.fields) or "none"
             raise ProtocolError(f"found {len(values)} values, expected {names}")
@@ -70,24 +76,24 @@ _POSITION = _Field("position", "H", 0, 1000)
 _TIME = _Field("time_ms", "H", 0, 30000)
 _ID = _Field("servo_id", "B", 0, MAX_ID)
 _OFFSET = _Field("offset", "b", -125, 125)
-_MOVE = _Layout(_POSITION, _TIME)
-_LIMITS = _Layout(_Field("low", "H", 0, 1000), _Field("high", "H", 0, 1000))
-_VIN_LIMITS = _Layout(_Field("low_mv", "H", 4500, 12000), _Field("high_mv", "H", 4500, 12000))
-_TEMP_MAX = _Layout(_Field("temperature_c", "B", 50, 100))
-_MODE = _Layout(
+_MOVE = Layout(_POSITION, _TIME)
+_LIMITS = Layout(_Field("low", "H", 0, 1000), _Field("high", "H", 0, 1000))
+_VIN_LIMITS = Layout(_Field("low_mv", "H", 4500, 12000), _Field("high_mv", "H", 4500, 12000))
+_TEMP_MAX = Layout(_Field("temperature_c", "B", 50, 100))
+_MODE = Layout(
     _Field("mode", "B", 0, 1), _Field("reserved", "B", 0, 0), _Field("speed", "h", -1000, 1000)
 )
-_SWITCH = _Layout(_Field("switch", "B", 0, 1))
-_ERRORS = _Layout(_Field("errors", "B", 0, 7))
-_NOTHING = _Layout()
+_SWITCH = Layout(_Field("switch", "B", 0, 1))
+_ERRORS = Layout(_Field("errors", "B", 0, 7))
+_NOTHING = Layout()
 
-COMMANDS: Dict[int, _Layout] = {
+COMMANDS: Dict[int, Layout] = {
     MOVE_TIME_WRITE: _MOVE,
     MOVE_TIME_WAIT_WRITE: _MOVE,
     MOVE_START: _NOTHING,
     MOVE_STOP: _NOTHING,
-    ID_WRITE: _Layout(_ID),
-    OFFSET_ADJUST: _Layout(_OFFSET),
+    ID_WRITE: Layout(_ID),
+    OFFSET_ADJUST: Layout(_OFFSET),
     OFFSET_WRITE: _NOTHING,
     ANGLE_LIMIT_WRITE: _LIMITS,
     VIN_LIMIT_WRITE: _VIN_LIMITS,
@@ -99,18 +105,18 @@ COMMANDS: Dict[int, _Layout] = {
 }
 """Command number -> what a host sends along; the requests join below."""
 
-REPLIES: Dict[int, _Layout] = {
+REPLIES: Dict[int, Layout] = {
     MOVE_TIME_READ: _MOVE,
     MOVE_TIME_WAIT_READ: _MOVE,
-    ID_READ: _Layout(_ID),
-    OFFSET_READ: _Layout(_OFFSET),
+    ID_READ: Layout(_ID),
+    OFFSET_READ: Layout(_OFFSET),
     ANGLE_LIMIT_READ: _LIMITS,
     VIN_LIMIT_READ: _VIN_LIMITS,
     TEMP_MAX_READ: _TEMP_MAX,
-    TEMP_READ: _Layout(_Field("temperature_c", "B", 0, 150)),
-    VIN_READ: _Layout(_Field("supply_mv", "H", 0, 20000)),
+    TEMP_READ: Layout(_Field("temperature_c", "B", 0, 150)),
+    VIN_READ: Layout(_Field("supply_mv", "H", 0, 20000)),
     # below 0 and above 1000: the shaft can be turned beyond what can be commanded
-    POS_READ: _Layout(_Field("position", "h", -500, 1500)),
+    POS_READ: Layout(_Field("position", "h", -500, 1500)),
     MODE_READ: _MODE,
     TORQUE_READ: _SWITCH,
     LED_READ: _SWITCH,
@@ -150,7 +156,7 @@ def encode_reply(message: Message) -> bytes:
     return _encode(message, REPLIES)
 
 
-def _encode(message: Message, table: Dict[int, _Layout]) -> bytes:
+def _encode(message: Message, table: Dict[int, Layout]) -> bytes:
     layout = table.get(message.command)
     if layout is None:
         raise ProtocolError(f"command {message.command!r} is not one of {sorted(table)}")
@@ -164,7 +170,7 @@ def frame_bytes(servo_id: int, command: int, parameters: bytes) -> bytes:
     return HEADER + body + bytes((checksum(body),))
 
 
-def _require_values(layout: _Layout, message: Message) -> None:
+def _require_values(layout: Layout, message: Message) -> None:
     layout.require(message.values)
     if message.values and message.command in _PAIRS and message.values[0] >= message.values[1]:
         raise ProtocolError(f"limits {message.values}: the lower one must be below the upper one")
@@ -193,7 +199,7 @@ def decode_reply(frame: bytes) -> Message:
     return message
 
 
-def _decode(frame: bytes, table: Dict[int, _Layout]) -> Tuple[Message, _Layout]:
+def _decode(frame: bytes, table: Dict[int, Layout]) -> Tuple[Message, Layout]:
     if len(frame) < 6:
         raise ProtocolError(f"{frame.hex()} is shorter than a frame")
     layout = table.get(frame[4])
@@ -202,7 +208,7 @@ def _decode(frame: bytes, table: Dict[int, _Layout]) -> Tuple[Message, _Layout]:
     return Message(frame[2], frame[4], layout.struct.unpack(frame[5:-1])), layout
 
 
-def _measure_by(table: Dict[int, _Layout], max_id: int) -> Measure:
+def _measure_by(table: Dict[int, Layout], max_id: int) -> Measure:
     """Return a measure that takes only the length that the command has."""
     lengths = bytes(table[c].length if c in table else 0 for c in range(256))
 

@@ -34,9 +34,7 @@ class Parser:
     """
 
     def __init__(self, header: bytes, measure: Measure, check: Check) -> None:
-        self._header = header
-        self._measure = measure
-        self._check = check
+        self.header, self.measure, self.check = header, measure, check
         self._buffer = bytearray()
         self._done = 0  # bytes at the front that belong to an accepted frame
         self.n_frames = 0
@@ -58,7 +56,7 @@ class Parser:
         return self._scan(is_final=True)
 
     def _scan(self, is_final: bool) -> List[bytes]:
-        buffer, header, measure, check = self._buffer, self._header, self._measure, self._check
+        buffer, header, measure, check = self._buffer, self.header, self.measure, self.check
         frames: List[bytes] = []
         at, done, n_all = 0, self._done, len(buffer)
         while True:
@@ -91,7 +89,7 @@ class Parser:
 
     def _n_partial(self) -> int:
         """Return how many bytes at the end may be the start of a header."""
-        buffer, header = self._buffer, self._header
+        buffer, header = self._buffer, self.header
         for n in range(min(len(header) - 1, len(buffer)), 0, -1):
             if buffer.endswith(header[:n]):
                 return n

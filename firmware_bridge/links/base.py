@@ -20,6 +20,15 @@ class Link(ABC):
     def is_open(self) -> bool:
         """Say whether the link is open; a lost one is closed."""
 
+    @property
+    def descriptor(self) -> int:
+        """The open file behind the link, which another process can share; -1: there is none."""
+        return -1
+
+    def set_baud(self, baud: int) -> bool:
+        """Go on at another baud rate; say whether this link can."""
+        return False
+
     @abstractmethod
     def open(self) -> None:
         """Open it, for this program alone where the system can do that.

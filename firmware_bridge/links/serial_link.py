@@ -74,6 +74,29 @@ class SerialLink(Link):
         """Whether own bytes come back: True, False, or None while that is not known."""
         return self._echo.has_echo
 
+    @property
+    def descriptor(self) -> int:
+        """The open file behind the port; -1 when closed, or for a URL that has none."""
+        return self._descriptor if self._serial is not None else -1
+
+    def set_baud(self, baud: int) -> bool:
+        """Go on at another baud rate; say whether the port can.
+
+        Raises
+        ------
+        LinkLost : the port is closed or went away.
+        """
+        device = self._device()
+        try:
+            device.baudrate = baud
+        except (ValueError, NotImplementedError):
+            return False
+        except _LOST as error:
+            raise self._lost("set baud rate", error) from error
+        self.baud = baud
+        self.mark_idle()
+        return True
+
     def open(self) -> None:
         """Open the port, for this program alone where the system can do that.
 

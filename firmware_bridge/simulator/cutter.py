@@ -23,6 +23,7 @@ class Shape(NamedTuple):
 SHAPES: Dict[str, Shape] = {
     "lx16a": Shape(b"\x55\x55", 3, 1, 3, 2),
     "lsc": Shape(b"\x55\x55", 2, 1, 2, 5),
+    "lsc-pwm": Shape(b"\x55\x55", 2, 1, 2, 5),
     "rrc": Shape(b"\xaa\x55", 3, 1, 5, 4),
     "rrc-bus": Shape(b"\xaa\x55", 3, 1, 5, 4),
     "sts": Shape(b"\xff\xff", 3, 1, 4, 2),

@@ -23,7 +23,7 @@ when left out. Kinds are ``stuck``; ``overheat`` (to ``temperature_c``, 95); ``b
 ``for_s`` is how long it boots); ``dead``; ``id-clash`` (servo ``id`` takes the id ``with``);
 ``wrong-baud`` (servo ``id`` goes to ``baud``, 9600); ``unplug`` (no id; back ``for_s`` later).
 
-Source: the faults that users of servo buses report; issue 4.
+Source: the faults that users of servo buses report.
 """
 
 import json

@@ -15,7 +15,8 @@ from firmware_bridge.simulator.damage import DAMAGE, damage
 from firmware_bridge.simulator.faults import ALL, DeviceFault, FaultScript, LineFault
 from firmware_bridge.simulator.servo import SimServo
 
-_BOARDS = ("rrc", "rrc-bus", "lsc")  # protocols where the host talks to a board, not to servos
+# protocols where the host talks to a board, not to servos
+_BOARDS = ("rrc", "rrc-bus", "lsc", "lsc-pwm")
 _SILENCE_S = 0.01
 _REORDER_S = 0.02
 _EPSILON_S = 1e-9

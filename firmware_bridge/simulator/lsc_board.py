@@ -12,6 +12,7 @@ from firmware_bridge.simulator.board import Board
 from firmware_bridge.simulator.lx_servo import LxServo
 from firmware_bridge.simulator.servo import SimServo
 
+_PULSES_US = (500, 2500)
 _FALLBACK_MV = 7400.0  # a board without servos
 
 
@@ -124,3 +125,17 @@ class LscBoard(Board):
         self._move(move, percent)
         self._at += 1
         self._next_s = self.t_s + max(move.duration_ms, 1) / 10.0 / percent
+
+
+class LscPwmBoard(LscBoard):
+    """A board with PWM servos: pulses of 500..2500 us, and nobody tells where they are."""
+
+    def __init__(
+        self, servos: Sequence[SimServo], groups: Optional[Mapping[int, Sequence[lsc.Move]]] = None
+    ) -> None:
+        super().__init__(servos, groups)
+        for member in self.members:
+            member.limits = _PULSES_US
+
+    def _tell_positions(self, servo_ids: Sequence[int]) -> None:
+        """Say nothing: there is nothing to measure with."""

@@ -32,6 +32,7 @@ class Family(NamedTuple):
 FAMILIES: Dict[str, Family] = {
     "lx16a": Family("lx_bus:LxBus", "lx16a", (0, 1000), 1560.0, 7400.0, True),
     "lsc": Family("lsc_board:LscBoard", "lx16a", (0, 1000), 1560.0, 7400.0, False),
+    "lsc-pwm": Family("lsc_board:LscPwmBoard", "pwm", (500, 2500), 3300.0, 7400.0, False),
     "rrc": Family("rrc_board:RrcBoard", "pwm", (500, 2500), 3300.0, 7400.0, False),
     "rrc-bus": Family("rrc_board:RrcBusBoard", "lx16a", (0, 1000), 1560.0, 7400.0, False),
     "sts": Family("sts_bus:StsBus", "sts", (0, 4095), 3070.0, 7400.0, True),

@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         with serving(board):
             baud = firmware.baud
             print(f"{args.link}: {args.protocol} at {baud} baud, device {os.readlink(args.link)}")
-            print(f"  try: apex arm ping --port {args.link}   (Ctrl-C ends it)", flush=True)
+            print("  open it like any serial port at that rate; Ctrl-C ends it", flush=True)
             _wait(args.seconds)
     return 0
 

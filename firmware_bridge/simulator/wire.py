@@ -12,6 +12,7 @@ from firmware_bridge.simulator.base import Firmware
 
 TICK_S = 0.001
 _BITS_PER_BYTE = 10.0
+_N_ALERT = 100  # steps after a byte arrived in which the firmware may still answer it
 _SLACK_S = 1e-9
 
 
@@ -68,6 +69,7 @@ class Wire:
         self.line_baud = firmware.baud
         self.n_collisions = 0
         self.n_steps = 0
+        self._alert_until = 0
         self._tap = Tap() if tap is None else tap
         self._rng = random.Random(options.seed)
         self._zero_s: Optional[float] = None
@@ -112,6 +114,7 @@ class Wire:
             if not self.options.is_paced:
                 data += bytes(byte.value for byte in going)
                 going.clear()
+            self._alert_until = self.n_steps + _N_ALERT
             self._tap.fed(self.n_steps, data)  # before what it leads to
             feed(data)
             self._collect(end_s)
@@ -119,12 +122,17 @@ class Wire:
         return self._arrived(now_s)
 
     def next_s(self) -> float:
-        """Return when ``advance`` has something to do; infinite when only time passes."""
+        """Return when ``advance`` has something to do; infinite when only time passes.
+
+        A firmware may take its time to answer, so for 0.1 s after a byte that is every step.
+        """
         times = [
             min(queue[-1].end_s, queue[0].end_s + self.options.grain_s)
             for queue in (self._going, self._coming, self._echo)
             if queue
         ]
+        if self._zero_s is not None and self.n_steps < self._alert_until:
+            times.append(self._zero_s + (self.n_steps + 1) * TICK_S)
         return min(times, default=float("inf"))
 
     def cut(self) -> None:

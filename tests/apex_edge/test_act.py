@@ -34,6 +34,7 @@ class Rig:
         self.firmware = RrcFirmware(ARM)
         self.board = PtyBoard(self.firmware)
         self.link = SerialLink(self.board.port)
+        self.link.wait_readable = self.let_pass  # while the host waits for an answer
         self.session = ArmSession(ARM, self.link, lambda: self.t_s)
         self.actuator = Actuator(self.session, ARM, candidates, config)
         self.candidates = candidates
@@ -45,6 +46,11 @@ class Rig:
         while self.session.state is not SessionState.ARMED:
             self.advance(0.01)
             assert self.t_s < 5.0
+
+    def let_pass(self, seconds):
+        self.board.pump()
+        self.firmware.step(seconds)
+        self.t_s += seconds
 
     def advance(self, seconds, dt_s=0.005):
         """Tick the session every 30 ms and step the servos every 5 ms."""

@@ -87,3 +87,11 @@ def test_an_arm_that_turns_less_gets_a_narrower_grid(arm):
     narrow = candidate_grid(dataclasses.replace(arm, limits_rad=limits), 200)
     yaw = np.arctan2(narrow.tip_m[:, 1], narrow.tip_m[:, 0])
     assert np.abs(yaw).max() <= 0.5 + 1e-9
+
+
+@pytest.mark.parametrize("name", ["so-101", "armpi", "xarm-1s"])
+def test_other_arms_have_as_many_candidates(name):
+    arm = ArmModel.load(name)
+    grid = candidate_grid(arm)
+    assert len(grid.tip_m) == 1412
+    assert np.abs(arm.tip(grid.joints_rad) - grid.tip_m).max() < 1e-9

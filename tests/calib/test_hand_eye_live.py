@@ -81,7 +81,8 @@ class Bench:
 
     def ready(self, arm):
         ready = ReadyArm(arm, self.board.port, self.clock, self.sleep)
-        self.link = ready.session._link
+        self.link = ready.session.bus.link
+        self.link.wait_readable = self.pass_time  # time passes while the host waits for answers
         return ready
 
 

@@ -1,7 +1,7 @@
 """Fixtures: the arm, and a complete simulated one in simulated time over a real pty."""
 
 import time
-from typing import Optional
+from typing import Callable, Optional
 
 import pytest
 
@@ -16,6 +16,18 @@ from firmware_bridge.simulator.rrc_arm import RrcFirmware
 
 _STEP_S = 0.01
 _PATIENCE_S = 2.0  # wall time for bytes to cross the pty; it takes about 0.1 ms
+
+
+class PumpedLink(SerialLink):
+    """A serial link on which simulated time passes while the host waits for an answer."""
+
+    def __init__(self, board: PtyBoard, let_pass: Callable[[float], None]) -> None:
+        super().__init__(board.port)
+        self._let_pass = let_pass
+
+    def wait_readable(self, timeout_s: float) -> None:
+        self._let_pass(timeout_s)
+        super().wait_readable(0.0)
 
 
 class Bench:
@@ -36,7 +48,7 @@ class Bench:
         self.tick_s = tick_s
         self.firmware = RrcFirmware(arm, at_rad)
         self.board = PtyBoard(self.firmware)
-        self.link = SerialLink(self.board.port)
+        self.link = PumpedLink(self.board, self.let_pass)
         self.session = ArmSession(arm, self.link, lambda: self.t_s, limits)
         self._next_tick_s = 0.0
 
@@ -65,6 +77,12 @@ class Bench:
             step_s = min(_STEP_S, end_s - self.t_s)
             self.firmware.step(step_s)
             self.t_s += step_s
+
+    def let_pass(self, dt_s: float) -> None:
+        """Let time pass for the board and on the clock; the host waits."""
+        self.exchange()
+        self.firmware.step(dt_s)
+        self.t_s += dt_s
 
     def exchange(self) -> None:
         """Bring every byte the host has written to the firmware, and the replies back.

@@ -94,7 +94,7 @@ def test_a_shipped_arm_stands_at_home_within_its_own_limits(name):
         ("xarm-1s", "lsc", (0, 1000)),
         ("lx16a-arm", "lx16a", (0, 1000)),
         ("so-101", "sts", (0, 4095)),
-        ("learm", "lsc", (500, 2500)),
+        ("learm", "lsc-pwm", (500, 2500)),
     ],
 )
 def test_each_arm_names_its_protocol_and_counts_in_its_ticks(name, protocol, ticks):

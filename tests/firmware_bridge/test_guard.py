@@ -37,12 +37,12 @@ def test_a_path_within_the_limits_is_kept_as_it_is():
     assert not path.is_stretched
 
 
-def test_a_segment_too_fast_is_stretched_to_the_rate_and_no_more():
+def test_a_segment_too_fast_is_stretched_to_a_little_below_the_rate_and_no_more():
     goals = joints_at((0.12, 0.05, 0.06), (0.12, 0.05, 0.005))
     path = check(goals, [0.01, 5.0])
     speed = np.abs(np.diff(path.knots_rad, axis=0)) / np.diff(path.knots_s)[:, None]
     assert path.is_stretched
-    assert np.isclose((speed[0] / ARM.rate_rad_s).max(), 1.0)
+    assert np.isclose((speed[0] / ARM.rate_rad_s).max(), 0.95)  # the rest is for late set-points
     assert np.isclose(np.diff(path.knots_s)[1], 5.0)
 
 

@@ -11,12 +11,12 @@ import pytest
 from apex_edge.errors import ConfigError, InputError
 from apex_edge.perception import ColourTable, PerceptionConfig, tracking
 from apex_edge.perception.motion import MotionEstimator
+from offline_train.benchmarks import lines
 from offline_train.benchmarks import perception as bench
 from offline_train.benchmarks.perception import (
     clips,
     cost,
     honesty,
-    lines,
     motion,
     peer,
     twin_clips,

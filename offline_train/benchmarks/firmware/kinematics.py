@@ -55,7 +55,7 @@ def _times(scale: float) -> List[Line]:
         at_most(SUITE, f"IK of {N_POINTS} points, frame periods of 30 Hz", share, 0.75),
         note(SUITE, f"IK of {N_POINTS} points, ms", 1e3 * ours_s),
         note(SUITE, "point by point in plain Python, frame periods", plain_s / FRAME_S),
-        at_least(SUITE, "plain Python takes this many times as long", plain_s / ours_s, 5.0),
+        at_least(SUITE, "plain Python takes this many times as long", plain_s / ours_s, 2.0),
         at_least(SUITE, "both find the same joints", float(is_same), 1.0),
     ]
 

@@ -2,7 +2,7 @@
 
 import importlib
 import random
-from typing import Callable, Dict, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from firmware_bridge.codec.parser import Parser
 from firmware_bridge.simulator.base import Firmware
@@ -48,3 +48,13 @@ def kit(name: str) -> Kit:
     """Return the kit of a protocol: ``KIT`` in the module ``kit_NAME`` beside this one."""
     found: Kit = importlib.import_module(f"{__package__}.kit_{name}").KIT
     return found
+
+
+def kits() -> List[Kit]:
+    """Return the kits of all protocols."""
+    return [kit(name) for name in KITS]
+
+
+def framed_kits() -> List[Kit]:
+    """Return the kits of protocols whose frames start with a header; I2C has no need of one."""
+    return [each for each in kits() if each.host_parser().header]

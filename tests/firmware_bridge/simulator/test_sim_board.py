@@ -1,6 +1,7 @@
 """A simulated board that serves a real pseudo-terminal from a thread of its own."""
 
 import gc
+import io
 import os
 import termios
 import threading
@@ -14,6 +15,7 @@ from lx_frames import Bus, ask, faulty, move, positions
 from firmware_bridge.errors import LinkLost, PortError
 from firmware_bridge.links.serial_link import SerialLink
 from firmware_bridge.simulator.line_speed import line_baud, set_line_baud
+from firmware_bridge.simulator.log import BoardLog
 from firmware_bridge.simulator.pty_board import PtyBoard, serving
 from firmware_bridge.simulator.wire import WireOptions
 
@@ -82,8 +84,8 @@ def test_wrong_baud_gives_no_answer_and_the_right_one_does():
     with serving(PtyBoard(bus)) as board:
         with serial.Serial(board.port, 9600, timeout=0.2) as line:
             line.write(ask(1))
+            until(lambda: board.n_bytes_in == 6)
             assert line.read(8) == b""
-        assert board.n_bytes_in == 6
         assert positions(talk(board.port, ask(1), 8)) == [(1, 100)]
 
 
@@ -128,9 +130,11 @@ def test_link_follows_the_board_through_unplug_and_replug(tmp_path):
 def test_fault_script_pulls_the_plug_and_puts_it_back(tmp_path):
     name = tmp_path / "arm"
     firmware = faulty(devices=[{"kind": "unplug", "at_s": 0.05, "for_s": 0.2}])
-    seen = []
-    with serving(PtyBoard(firmware, link=name, options=FAST)) as board:
-        until(lambda: seen.append(name.is_symlink()) or seen[-1:] == [False])
+    stream = io.StringIO()
+    log = BoardLog(stream, firmware, {"protocol": "lx16a"})
+    with serving(PtyBoard(firmware, link=name, options=FAST, log=log)) as board:
+        until(lambda: stream.getvalue().count('"plugged in"') == 2)
+        assert stream.getvalue().count('"unplugged"') == 1
         until(lambda: board.is_open and name.is_symlink())
         assert positions(talk(str(name), ask(1), 8)) == [(1, 100)]
 

@@ -3,6 +3,8 @@
 import io
 import json
 import random
+import subprocess
+import sys
 
 import pytest
 from lx_frames import Bus, move
@@ -32,6 +34,8 @@ def talk(wire, setup, seed, n_turns=60):
     rng = random.Random(seed)
     speech = protocol(setup.protocol)
     low, high = speech.ticks
+    asked = (Quantity.POSITION, Quantity.TARGET, Quantity.VOLTAGE)
+    quantity = next(one for one in asked if one in speech.quantities)
     now_s = 0.0
     wire.advance(now_s)
     for frame in speech.torque(DEFAULT_IDS, True):
@@ -39,8 +43,7 @@ def talk(wire, setup, seed, n_turns=60):
     for _ in range(n_turns):
         targets = [ServoTarget(one, rng.randint(low, high), 2000) for one in DEFAULT_IDS]
         frames = list(speech.move(targets, rng.randint(20, 400)))
-        place = Quantity.POSITION if speech.has_feedback else Quantity.TARGET
-        frames += [query.frame for query in speech.query(place, DEFAULT_IDS)]
+        frames += [query.frame for query in speech.query(quantity, DEFAULT_IDS)]
         frames += list(speech.stop(targets)) if rng.random() < 0.2 else []
         for frame in frames:
             wire.host_sent(frame, now_s)
@@ -144,3 +147,12 @@ def test_every_protocol_has_a_firmware_at_its_own_baud(name):
 def test_unknown_protocol_is_refused_with_those_there_are():
     with pytest.raises(ProtocolError, match="lx16a"):
         firmware("morse")
+
+
+def test_simulator_needs_nothing_but_the_standard_library():
+    code = (
+        "import sys; sys.modules.update(numpy=None, cv2=None, serial=None, tomli=None);"
+        "from firmware_bridge.simulator.make import FAMILIES, Setup;"
+        "[Setup(name).firmware().step(0.01) for name in FAMILIES]"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -24,7 +24,12 @@ class Program:
         command = [sys.executable, "-m", "apex_edge.cli", "sim-arm", "--protocol", name]
         command += ["--link", str(self.link), *options]
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            universal_newlines=True,
+            # a test run in the background of a shell has SIGINT switched off, and hands that down
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
 
     def __enter__(self):
@@ -67,7 +72,9 @@ def quantity_of(name):
     return Quantity.POSITION if protocol(name).has_feedback else Quantity.TARGET
 
 
-@pytest.mark.parametrize("name", sorted(FAMILIES))
+@pytest.mark.parametrize(
+    "name", [one for one in sorted(FAMILIES) if quantity_of(one) in protocol(one).quantities]
+)
 def test_program_answers_with_real_bytes_over_its_link(tmp_path, name):
     low, high = FAMILIES[name].ticks
     with Program(tmp_path, name) as program:

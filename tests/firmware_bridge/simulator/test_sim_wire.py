@@ -113,6 +113,15 @@ def test_next_time_is_that_of_the_bytes_under_way():
     assert wire.next_s() == pytest.approx(0.003)
 
 
+def test_after_a_byte_every_step_may_bring_a_slow_answer_and_later_none():
+    wire = started(Answering())
+    wire.host_sent(b"a", 0.0)
+    wire.advance(0.0205)
+    assert wire.next_s() == pytest.approx(0.021)
+    wire.advance(0.2)
+    assert wire.next_s() == float("inf")
+
+
 def test_long_run_is_handed_over_in_grains():
     wire = started(Answering(), grain_s=0.002)
     wire.host_sent(bytes(50), 0.0)

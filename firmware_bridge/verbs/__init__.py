@@ -1,0 +1,1 @@
+"""The actions of ``apex arm``, one module each."""
