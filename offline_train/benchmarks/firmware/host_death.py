@@ -6,6 +6,7 @@ of its shafts, on the clock that all share.
 """
 
 import contextlib
+import math
 import multiprocessing
 import os
 import signal
@@ -43,10 +44,14 @@ Record = Deque[Tuple[float, Tuple[float, ...]]]
 
 
 def measure(scale: float, seed: int) -> List[Line]:
-    """Kill and suspend the host of a swinging arm at random moments; 200 times each at scale 1."""
-    n_times = max(2, int(round(_N * scale)))
+    """Kill and suspend the host of a swinging arm at random moments.
+
+    200 times each at scale 1, over three protocols in turn.
+    """
+    protocols = [name for name in ("sts", "lx16a", "rrc") if has_simulator(name)]
+    n_times = max(1, math.ceil(_N * scale / len(protocols)))
     lines: List[Line] = []
-    for protocol in [name for name in ("sts", "lx16a", "rrc") if has_simulator(name)]:
+    for protocol in protocols:
         for kind in (signal.SIGKILL, signal.SIGSTOP):
             rng = np.random.RandomState(seed)
             with served(protocol) as (port, board), Progress("deaths", n_times) as progress:
