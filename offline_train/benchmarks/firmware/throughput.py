@@ -88,7 +88,7 @@ def measure(scale: float, seed: int) -> List[Line]:
                 lines.append(Line(SUITE, f"{what}, {peer}", "not installed"))
                 continue
             lines.append(note(SUITE, f"{what}, {peer}", rate, "{:.0f}"))
-            lines.append(note(SUITE, f"{name}: ours / {peer}", ours / rate, "{:.2f}"))
+            lines.append(note(SUITE, f"{name}: ours / {peer}", ours / (rate or float("nan")), "{:.2f}"))
     return lines
 
 
