@@ -88,7 +88,8 @@ def measure(scale: float, seed: int) -> List[Line]:
                 lines.append(Line(SUITE, f"{what}, {peer}", "not installed"))
                 continue
             lines.append(note(SUITE, f"{what}, {peer}", rate, "{:.0f}"))
-            lines.append(note(SUITE, f"{name}: ours / {peer}", ours / (rate or float("nan")), "{:.2f}"))
+            ratio = ours / rate if rate else float("nan")
+            lines.append(note(SUITE, f"{name}: ours / {peer}", ratio, "{:.2f}"))
     return lines
 
 
