@@ -1,5 +1,6 @@
 """The benches of the bus in small, on devices that need no peer library."""
 
+import math
 import random
 
 import pytest
@@ -78,5 +79,6 @@ def test_the_simulated_wire_takes_its_time():
 def test_reads_through_a_real_terminal_are_counted():
     with throughput.served("sts") as port:
         for read in throughput._ours("sts")(port):
-            assert throughput.rate_hz(read, 20) > 0.0
-            assert not throughput.rate_hz(lambda servo_id: None, 20) > 0.0
+            assert throughput.rate_hz(read, 100) > 0.0
+    assert throughput.rate_hz(lambda servo_id: None, 20) == 0.0
+    assert math.isnan(throughput.rate_hz(lambda servo_id: servo_id, 20))
