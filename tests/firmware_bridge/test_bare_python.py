@@ -49,6 +49,6 @@ def test_an_arm_moves_and_answers_with_nothing_installed_but_pyserial(name, verd
         [sys.executable, "-c", SCRIPT, name],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        universal_newlines=True,
+        text=True,
     )
     assert run.stdout.strip() == f"[1, 2, 3] {{'{verdict}'}}", run.stdout
