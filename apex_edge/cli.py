@@ -18,6 +18,7 @@ from apex_edge.errors import ApexError, PluginError
 
 # One line each for the built-in verbs, so that --help imports none of them.
 BUILT_IN = {
+    "arm": "find an arm, ask it, move it within its limits, stop it",
     "bench": "measure this machine: roll-outs side by side",
     "calibrate": "measure lens, table, hand-eye, colours, servos, latency; print boards",
     "demo": "a collision, a quiet and an implicit scene; no hardware needed",

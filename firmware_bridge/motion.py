@@ -19,6 +19,8 @@ HORIZON_S = 0.1
 MAX_HORIZON_S = 0.15
 MIN_TICK_S = 0.02
 _SHARE = 0.8  # of a tick that the line may be busy
+_SAME_S = 1e-6
+_LATE_S = 0.003  # a board may be so far behind, and must not hurry to make up for it
 _SPEED_STEP_S = 0.001
 _TURN_ROUND_S = 0.0003  # a servo takes about that long to answer
 
@@ -59,7 +61,10 @@ def rhythm_of(arm: ArmModel, protocol: ServoProtocol, baud: int = 0) -> Rhythm:
 class Motion:
     """A path under way, or the ``pose (k,)`` that is held (NaN while unknown) when it is None.
 
-    ``path_s`` of the path were done at ``t_s``; the board goes on by itself for one horizon.
+    At ``t_s`` the board stood at ``pose`` and ``path_s`` of the path were due. It goes straight to
+    the set-point and no further, and no set-point lies beyond a way-point: corners are not cut, for
+    only the path itself was checked. What that costs is made up for within the joints' rates
+    ``rate_rad_s (k,)``.
     """
 
     pose: Array
@@ -67,16 +72,16 @@ class Motion:
     path_s: float = 0.0
     t_s: float = 0.0
     horizon_s: float = HORIZON_S
-
-    def since(self, now_s: float) -> float:
-        """Return for how long the arm has moved since the last set-point."""
-        return min(max(now_s - self.t_s, 0.0), self.horizon_s)
+    rate_rad_s: Optional[Array] = None
 
     def at(self, now_s: float) -> Array:
         """Return where the arm is commanded to be now (k,)."""
         if self.path is None:
             return self.pose.copy()
-        return self.path.at(self.path_s + self.since(now_s))
+        goal, takes_s = self.set_point()
+        share = min(max(now_s - self.t_s, 0.0) / takes_s, 1.0)
+        pose: Array = self.pose + (goal - self.pose) * share
+        return pose
 
     def state(self, now_s: float, is_moving: bool) -> JointState:
         """Return where the arm is commanded to be now."""
@@ -86,14 +91,27 @@ class Motion:
 
     def onward(self, now_s: float) -> "Motion":
         """Return the same motion as of now; a late tick delays the path."""
-        return replace(self, path_s=self.path_s + self.since(now_s), t_s=now_s)
+        if self.path is None:
+            return replace(self, t_s=now_s)
+        since_s = min(max(now_s - self.t_s, 0.0), self.horizon_s)
+        ahead_s = self.path.knots_s[self.path.knots_s > self.path_s + _SAME_S]
+        # one way-point may be passed at a time: the board has not been told of the one behind it
+        most_s = self.path.total_s if len(ahead_s) < 2 else float(ahead_s[1]) - 2.0 * _SAME_S
+        path_s = min(self.path_s + since_s, most_s)
+        return replace(self, pose=self.at(now_s), path_s=path_s, t_s=now_s)
 
     def set_point(self) -> Tuple[Array, float]:
         """Return where the arm shall be at the end of the horizon (k,), and in how many seconds."""
         if self.path is None:
             return self.pose.copy(), self.horizon_s
-        ahead_s = min(self.horizon_s, self.path.total_s - self.path_s)
-        return self.path.at(self.path_s + ahead_s), ahead_s
+        ahead_s = self.path.knots_s[self.path.knots_s > self.path_s + _SAME_S]
+        end_s = float(ahead_s[0]) if len(ahead_s) else self.path.total_s
+        takes_s = max(min(self.horizon_s, end_s - self.path_s), _SAME_S)
+        goal = self.path.at(self.path_s + takes_s)
+        if self.rate_rad_s is not None:
+            needed_s = float((np.abs(goal - self.pose) / self.rate_rad_s).max())
+            takes_s = max(takes_s, needed_s + _LATE_S)
+        return goal, takes_s
 
     @property
     def is_over(self) -> bool:

@@ -17,7 +17,6 @@ from firmware_bridge.states import MEASURED, JointState
 _HOLD_SHARE = 0.3  # of the arm's rate, to come back to a pose that is held
 _GRIP_SHARE = 0.5
 _MOST_AHEAD_S = 0.04
-_LATE_S = 0.004  # a board may be so far behind, and must not hurry for the end of a way
 _CATCH_UP = 1.1  # on top of the speed that arrives in time, for a servo that lags
 
 
@@ -83,9 +82,6 @@ class Servos:
         ------
         LinkLost : the link is gone. MotionRefused : latched, or a tick that no servo takes.
         """
-        if start is not None:
-            needed_s = float((np.abs(pose - start) / self.arm.rate_rad_s).max())
-            duration_s = max(duration_s, needed_s + _LATE_S)
         targets = self._targets(pose, duration_s, start)
         duration_ms = max(1, math.ceil(duration_s * 1000.0 - 1e-6))
         return self.bus.move(targets, duration_ms, start is None and self.can_verify)

@@ -335,7 +335,8 @@ class ArmSession(SessionCore):
 
     def _begin(self, path: CheckedPath, now_s: float) -> None:
         pose = path.knots_rad[0]
-        self._put(Motion(pose, path, 0.0, now_s, self.rhythm.horizon_s))
+        rate = self.model.rate_rad_s
+        self._put(Motion(pose, path, 0.0, now_s, self.rhythm.horizon_s, rate))
         self._enter(SessionState.MOVING)
         with self._losing():
             self._send_set_point(now_s)
