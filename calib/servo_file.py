@@ -1,5 +1,7 @@
 """Servo files: the map of each servo, and the lines for the arm's data file."""
 
+import json
+from pathlib import Path
 from typing import Any, Dict, List, Mapping, Sequence
 
 import numpy as np
@@ -7,10 +9,8 @@ import numpy as np
 from apex_edge import documents
 from apex_edge.types import Array
 from calib.servo import ServoFit
+from firmware_bridge.calibration import FORMAT, VERSION
 from firmware_bridge.kinematics import ArmModel
-
-FORMAT = "apex-servo"
-VERSION = 2  # 1 had zero_us and us_per_rad, for PWM servos alone
 
 
 def servo_document(
@@ -53,6 +53,15 @@ def toml_lines(fits: Sequence[ServoFit], arm: ArmModel) -> List[str]:
         if joint:
             lines += _limit_lines(fit, arm)
     return lines
+
+
+def calibration_lines(document: Mapping[str, Any], out: Path) -> List[str]:
+    """Return the lines that tie the arm's data file to this calibration, which lies beside it."""
+    return [
+        "[calibration]  # the arm is not armed when this file and the lines here do not agree",
+        f"file = {json.dumps(out.name, ensure_ascii=False)}  # its path, from the arm's data file",
+        "sha256 = {}".format(json.dumps(document["sha256"])),
+    ]
 
 
 def _limit_lines(fit: ServoFit, arm: ArmModel) -> List[str]:

@@ -11,10 +11,14 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 from apex_edge.config import read_toml, setting, structure
 from apex_edge.errors import ConfigError
 from firmware_bridge.codec import PROTOCOLS
+from firmware_bridge.policy import Policy, check_policy
 
 _LOG = logging.getLogger(__name__)
 ARMS = Path(__file__).parent / "arms"
-_SECTIONS = ("bus", "links", "pitch", "home", "gripper", "workspace", "body", "joints")
+_SECTIONS = (
+    *("bus", "links", "pitch", "home", "gripper", "workspace", "body", "joints"),
+    *("policy", "calibration"),
+)
 _MAX_LIKE = 8
 PULSE_MIN_US, PULSE_MAX_US = 500, 2500
 # What each protocol's servos take, unless [bus] low_ticks and high_ticks say otherwise.
@@ -187,6 +191,14 @@ class Joint:
     accel_rad_s2: float = _maybe(0.0, "highest acceleration, 0: at once", 0.0, 10_000.0)
 
 
+@dataclass(frozen=True)
+class Calibration:
+    """Section ``[calibration]``: the servo calibration that the joints' ticks were taken from."""
+
+    file: str = setting("", "its path, from this file's folder")
+    sha256: str = setting("", "the hash that it states of itself")
+
+
 # The usual way: yaw to the left, shoulder up, elbow down, wrist up, roll to the right.
 USUAL_SIGNS = (1, 1, -1, 1, 1)
 
@@ -205,6 +217,8 @@ class ArmData:
     workspace: Limits
     body: Body
     joints: Mapping[str, Joint]
+    policy: Policy
+    calibration: Optional[Calibration]
 
 
 def known_arms() -> List[str]:
@@ -246,13 +260,22 @@ def _merged(path: Path, above: Sequence[Path]) -> Dict[str, Any]:
     """Read a file on top of the one that its key ``like`` names, and so on down."""
     if path in above or len(above) >= _MAX_LIKE:
         raise ConfigError(f"{path}: like = goes round in a circle or too deep")
-    data = read_toml(path)
+    data = _with_place(read_toml(path), path)
     like = data.pop("like", None)
     if like is None:
         return data
     if not isinstance(like, str):
         raise ConfigError(f"{path}: like = {like!r} must be the name of an arm or a path")
     return _over(_merged(_path_of(like, path.parent), (*above, path)), data)
+
+
+def _with_place(data: Dict[str, Any], path: Path) -> Dict[str, Any]:
+    """Find the calibration from the file that names it, not from one that is built on it."""
+    section = data.get("calibration")
+    name = section.get("file") if isinstance(section, dict) else None
+    if isinstance(section, dict) and isinstance(name, str):
+        data["calibration"] = {**section, "file": str(path.parent / name)}
+    return data
 
 
 def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> Dict[str, Any]:
@@ -273,7 +296,10 @@ def _structured(data: Mapping[str, Any], where: str) -> ArmData:
             f"{where}: [joints] must hold 4 or 5 joints in the order yaw, shoulder, elbow, wrist "
             f"and roll (under any name), found {found}"
         )
-    gripper = data.get("gripper")
+    gripper, calibration = data.get("gripper"), data.get("calibration")
+    policy = data.get("policy", {})
+    if not isinstance(policy, Mapping):
+        raise ConfigError(f"{where} [policy] must be a table, found {policy!r}")
     return ArmData(
         where,
         head,
@@ -285,6 +311,10 @@ def _structured(data: Mapping[str, Any], where: str) -> ArmData:
         _section(Limits, data.get("workspace", {}), f"{where} [workspace]"),
         _section(Body, data.get("body", {}), f"{where} [body]"),
         {n: _section(Joint, v, f"{where} [joints.{n}]") for n, v in joints.items()},
+        structure(Policy, policy, f"{where} [policy]"),
+        None
+        if calibration is None
+        else _section(Calibration, calibration, f"{where} [calibration]"),
     )
 
 
@@ -306,6 +336,7 @@ def _check(arm: ArmData) -> None:
         raise ConfigError(f"{arm.where}: two servos share an id: {ids}")
     if not (arm.head.is_verified or arm.head.note):
         raise ConfigError(f"{arm.where}: is_verified = false needs a note that says what is not")
+    check_policy(arm.policy, f"{arm.where} [policy]")
     low, high = arm.bus.ticks
     if not low < high:
         raise ConfigError(f"{arm.where} [bus]: low_ticks = {low} must be below high_ticks = {high}")

@@ -20,11 +20,12 @@ from firmware_bridge.errors import LinkLost
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.links.base import Link
 from firmware_bridge.motion import Motion, rhythm_of
+from firmware_bridge.policy import TORQUE_OFF, WARN, Policy
 from firmware_bridge.servos import Servos
 from firmware_bridge.states import LATCHED, UP, JointState, SessionState
 from firmware_bridge.supervision import Supervision
 from firmware_bridge.telemetry import Telemetry
-from firmware_bridge.watch import TORQUE_OFF, WARN, Kind, Policy, Trouble
+from firmware_bridge.watch import Kind, Trouble
 from firmware_bridge.watching import Watching
 
 _LOG = logging.getLogger(__name__)
@@ -50,7 +51,7 @@ class SessionCore:
         )
         self.servos = Servos(arm, self.bus)
         self.rhythm = rhythm_of(arm, self.bus.protocol, self.bus.link.baud)
-        self.policy = policy if policy is not None else Policy()
+        self.policy = policy if policy is not None else arm.policy
         self._clock = clock
         self._lock = threading.RLock()
         self._state_lock = threading.RLock()  # never held over I/O: estop takes it

@@ -1,4 +1,4 @@
-"""Before an arm is armed: are the servos on the bus those of the arm's file?
+"""Before an arm is armed: are servos and calibration those of the arm's file?
 
 Every id is asked for its model, limits and offset where the protocol has them. Source: ours.
 """
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Callable, Dict, List, Optional, Tuple
 
 from firmware_bridge.bus import Bus, Reading
+from firmware_bridge.calibration import compare_calibration
 from firmware_bridge.codec.protocol import Quantity
 from firmware_bridge.diagnose import question, why_silent
 from firmware_bridge.errors import HandshakeFailed
@@ -48,8 +49,14 @@ class Findings:
             raise HandshakeFailed(f"{port}: {'; '.join(self.troubles)}")
 
 
+def calibrated(arm: ArmModel) -> Findings:
+    """Compare the arm's file with the calibration that it names; asks no servo."""
+    troubles, notes = compare_calibration(arm)
+    return Findings((), tuple(troubles), tuple(notes))
+
+
 def shake_hands(servos: Servos, clock: Callable[[], float]) -> Findings:
-    """Ask every servo of the arm, and find out why one is silent.
+    """Look at the calibration, ask every servo of the arm, and find out why one is silent.
 
     A board that cannot be asked at all (I2C) is taken as it is, with a note.
 
@@ -58,11 +65,11 @@ def shake_hands(servos: Servos, clock: Callable[[], float]) -> Findings:
     LinkLost : the link is gone.
     """
     arm, bus = servos.arm, servos.bus
+    troubles, notes = compare_calibration(arm)
     if not bus.protocol.quantities & {Quantity.MODEL, Quantity.POSITION, Quantity.TARGET}:
-        note = f"{bus.protocol.name} cannot be asked whether the servos are there"
-        return Findings((), (), (note,))
+        notes.append(f"{bus.protocol.name} cannot be asked whether the servos are there")
+        return Findings((), tuple(troubles), tuple(notes))
     there = _ask_all(bus, arm.all_ids)
-    troubles: List[str] = []
     for servo_id in arm.all_ids:
         if servo_id not in there:
             others = [i for i in arm.all_ids if i != servo_id]
@@ -84,7 +91,6 @@ def shake_hands(servos: Servos, clock: Callable[[], float]) -> Findings:
         )
         for i in arm.all_ids
     )
-    notes: List[str] = []
     for servo in found:
         _compare(arm, servo, troubles, notes)
     return Findings(found, tuple(troubles), tuple(notes))

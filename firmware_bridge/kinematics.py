@@ -21,6 +21,7 @@ from firmware_bridge.arm_file import (
     ArmData,
     Body,
     Bus,
+    Calibration,
     Gripper,
     Limits,
     Links,
@@ -29,6 +30,7 @@ from firmware_bridge.arm_file import (
     warn_unverified,
 )
 from firmware_bridge.inverse import Solver, find_first
+from firmware_bridge.policy import Policy
 
 __all__ = ["PULSE_MAX_US", "PULSE_MIN_US", "ArmModel", "Gripper", "Limits", "Links", "Pitch"]
 
@@ -40,7 +42,8 @@ class ArmModel:
     ``signs (k,)``, ``limits_rad (k, 2)``, ``rate_rad_s (k,)``, ``accel_rad_s2 (k,)`` (inf: at
     once), ``home_rad (k,)``, ``servo_ids``; ``lag_s`` is the time from the end of a command until
     the tip stands; ``tip_radius_m`` the closed gripper's. ``workspace`` and ``body`` are what the
-    guard holds a path against. ``note`` must be told where ``is_verified`` is false.
+    guard holds a path against, ``policy`` what the servos are watched for; ``calibration`` is the
+    one that the file was made from. ``note`` must be told where ``is_verified`` is false.
     """
 
     name: str
@@ -64,6 +67,8 @@ class ArmModel:
     servo_time_constant_s: float
     is_verified: bool
     note: str
+    policy: Policy
+    calibration: Optional[Calibration]
 
     @property
     def n_joints(self) -> int:
@@ -263,4 +268,6 @@ def _model(data: ArmData, home_rad: Array) -> ArmModel:
         servo_time_constant_s=data.head.servo_time_constant_s,
         is_verified=data.head.is_verified,
         note=data.head.note,
+        policy=data.policy,
+        calibration=data.calibration,
     )

@@ -15,8 +15,8 @@ from firmware_bridge.errors import MotionRefused
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.links.base import Link
 from firmware_bridge.links.opening import open_link
+from firmware_bridge.policy import Policy
 from firmware_bridge.session import ArmSession, SessionState
-from firmware_bridge.watch import Policy
 
 ARMING_S = 6.0
 HOME_SHARE = 0.15  # of the arm's rates
@@ -41,7 +41,7 @@ class ReadyArm:
     Parameters
     ----------
     sleep : lets time pass between two ticks of the session.
-    policy : what counts as a fault of a servo.
+    policy : what counts as a fault of a servo; the arm's own when None.
     is_supervised : None: when ``clock`` is the system's own.
     is_homing : go home when it is ready; False: stay where the servos stand, if they can tell.
     link : used instead of what ``port`` names.

@@ -19,12 +19,13 @@ from firmware_bridge.core import SessionCore
 from firmware_bridge.deadman import Deadman
 from firmware_bridge.errors import LinkLost, MotionRefused, NotArmed
 from firmware_bridge.guard import CheckedPath, Limits, check_path
-from firmware_bridge.handshake import Findings, shake_hands, wanted_limits
+from firmware_bridge.handshake import Findings, calibrated, shake_hands, wanted_limits
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.links.base import Link
 from firmware_bridge.motion import HORIZON_S, Motion
+from firmware_bridge.policy import HOLD, Policy
 from firmware_bridge.states import LATCHED, UP, JointState, MoveReport, SessionState, refusal
-from firmware_bridge.watch import HOLD, Kind, Policy, Trouble
+from firmware_bridge.watch import Kind, Trouble
 
 _LOG = logging.getLogger(__name__)
 _N_MEASURED = 3  # times at most, before arming is given up
@@ -43,7 +44,7 @@ class ArmSession(SessionCore):
     ----------
     link : of the arm, or the bus on it.
     limits : the arm's own when None.
-    policy : what counts as a fault of a servo, and what is done about it.
+    policy : what counts as a fault of a servo, and what is done about it; the arm's own when None.
     deadman : supervises the host while the arm is armed; None: nobody does.
     """
 
@@ -143,12 +144,14 @@ class ArmSession(SessionCore):
         Raises
         ------
         NotArmed : the state is not CONNECTED. MotionRefused : the pose cannot be held.
-        HandshakeFailed : the servos are not the arm's. LinkLost : the board is gone.
+        HandshakeFailed : servos or calibration are not the arm's. LinkLost : the board is gone.
         """
         with self._lock:
             if self._state is not SessionState.CONNECTED:
                 raise NotArmed(f"arm() needs state connected, found {self._state.value}")
             self._watching.forget()
+            if not self.servos.has_feedback:
+                calibrated(self.model).require(self.bus.link.port)
             with self._losing():
                 if self.servos.has_feedback:
                     self._arm_measured()

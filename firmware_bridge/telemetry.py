@@ -9,8 +9,9 @@ import numpy as np
 from apex_edge.types import Array
 from firmware_bridge.bus import Reading
 from firmware_bridge.codec.protocol import Quantity, ServoFlag
+from firmware_bridge.policy import WARN
 from firmware_bridge.servos import Servos
-from firmware_bridge.watch import WARN, Trouble, Watch
+from firmware_bridge.watch import Trouble, Watch
 
 _ROUND = (
     Quantity.TORQUE,

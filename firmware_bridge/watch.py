@@ -1,23 +1,19 @@
 """What is wrong with a servo, judged from what it says: heat, supply, a stall, silence.
 
-Pure: values in, troubles out; what is done about them is the session's business. Source: ours;
-the limits are those of the servos' makers with a margin.
+Pure: values in, troubles out; what is done about them is the session's business. Source: ours.
 """
 
 import enum
 from collections import deque
-from dataclasses import dataclass
 from typing import Deque, Dict, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from apex_edge.config import setting
 from apex_edge.types import Array
 from firmware_bridge.codec.protocol import ServoFlag
+from firmware_bridge.policy import HOLD, TORQUE_OFF, WARN, Policy
 from firmware_bridge.servos import Measured
 
-HOLD, TORQUE_OFF, WARN = "hold", "torque-off", "warn"
-_ACTIONS = (HOLD, TORQUE_OFF, WARN)
 _N_SILENT = 3  # position reads in a row, each with the bus's own retries
 
 
@@ -40,25 +36,6 @@ class Trouble(NamedTuple):
     servo_id: int
     text: str
     action: str
-
-
-@dataclass(frozen=True)
-class Policy:
-    """Section ``[watch]``: from when on something is wrong, and what is done about it.
-
-    "hold" stops the arm where it is, "torque-off" lets it sink, "warn" is a line in the log.
-    """
-
-    warn_c: float = setting(60.0, "a servo this warm is a warning", 20.0, 150.0)
-    max_c: float = setting(68.0, "a servo this warm stops the arm", 20.0, 150.0)
-    limp_c: float = setting(80.0, "a servo this warm loses its torque", 20.0, 150.0)
-    min_v: float = setting(4.5, "a supply this low is a brown-out", 0.0, 30.0)
-    stall_rad: float = setting(0.08, "a joint this far from its way is stalled", 0.005, 3.0)
-    stall_s: float = setting(0.06, "for this long", 0.0, 5.0)
-    overheat: str = setting(HOLD, "what is done at max_c", choices=_ACTIONS)
-    stall: str = setting(HOLD, "what is done then", choices=_ACTIONS)
-    brown_out: str = setting(HOLD, "what is done then", choices=_ACTIONS)
-    estop: str = setting(HOLD, "what an e-stop does: gravity", choices=(HOLD, TORQUE_OFF))
 
 
 class Watch:

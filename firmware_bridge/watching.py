@@ -7,10 +7,11 @@ from firmware_bridge.bus import Reading
 from firmware_bridge.codec.protocol import Quantity
 from firmware_bridge.diagnose import why_silent
 from firmware_bridge.motion import Motion, Rhythm
+from firmware_bridge.policy import HOLD, Policy
 from firmware_bridge.servos import Measured, Servos
 from firmware_bridge.states import LATCHED, UP, SessionState
 from firmware_bridge.telemetry import Telemeter, Telemetry
-from firmware_bridge.watch import HOLD, Kind, Policy, Trouble, Watch
+from firmware_bridge.watch import Kind, Trouble, Watch
 
 _AGAIN = 2  # a servo found dead is asked in every second tick
 

@@ -10,7 +10,7 @@ from calib import files, servo_live
 from calib.made import file_data, made
 from calib.moving import confirm
 from calib.servo import ServoFit, overall, read_samples, samples_text, solve
-from calib.servo_file import servo_document, toml_lines
+from calib.servo_file import calibration_lines, servo_document
 from calib.servo_picture import draw
 from calib.settings import Bench
 from calib.verbs.options import add_out
@@ -59,8 +59,10 @@ def run(args: argparse.Namespace) -> int:
         figures.update(verdict.plain(), servos=[fit.plain() for fit in fits])
         check_usable(verdict)
         document = servo_document(fits, arm, made(file_data([source]), figures))
-        figures["toml"] = document["toml"]
-        return deliver(args, Ending(document, draw(samples, fits), figures, _lines(fits, arm)))
+        tie = "\n".join(calibration_lines(document, args.out)) + "\n"
+        figures["toml"] = document["toml"] + tie
+        told = [*_lines(fits), "lines for the arm's data file:", figures["toml"].rstrip()]
+        return deliver(args, Ending(document, draw(samples, fits), figures, told))
 
 
 def _collect(args: argparse.Namespace, bench: Bench, arm: ArmModel) -> Path:
@@ -96,7 +98,7 @@ def _ask(prompt: str) -> Optional[float]:
         sys.stderr.write(f"{answer} is outside -360..360 degrees\n")
 
 
-def _lines(fits: Sequence[ServoFit], arm: ArmModel) -> List[str]:
+def _lines(fits: Sequence[ServoFit]) -> List[str]:
     lines: List[str] = []
     for fit in fits:
         lines.append(
@@ -111,4 +113,4 @@ def _lines(fits: Sequence[ServoFit], arm: ArmModel) -> List[str]:
         )
         lines += [f"  {reason}" for reason in fit.reasons]
         lines += [f"  row {row} rejected: {why}" for row, why in fit.rejected]
-    return [*lines, "lines for the arm's data file:", *toml_lines(fits, arm)]
+    return lines

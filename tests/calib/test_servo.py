@@ -14,6 +14,7 @@ from calib.servo import ServoSamples, overall, read_samples, samples_text, solve
 from calib.servo_file import toml_lines
 from calib.verdict import PASS, REFUSE, WARN
 from firmware_bridge.arm_file import ARMS
+from firmware_bridge.calibration import compare_calibration
 from firmware_bridge.kinematics import ArmModel
 
 ZERO_US, US_PER_RAD = 1512.0, 630.0
@@ -218,8 +219,25 @@ def test_verb_writes_file_picture_and_the_lines_to_paste(tmp_path, capsys):
     document = documents.read(out, "apex-servo", 2, CalibrationError)
     assert told["verdict"] == PASS
     assert document["servos"][0]["joint"] == "yaw"
-    assert "[joints.yaw]" in document["toml"] == told["toml"]
+    assert "[joints.yaw]" in document["toml"]
+    assert told["toml"].startswith(document["toml"])
     assert cv2.imread(told["picture"]) is not None
+
+
+def test_the_lines_that_the_verb_prints_make_an_arm_that_agrees_with_its_calibration(
+    tmp_path, capsys
+):
+    samples, out = tmp_path / "s.csv", tmp_path / 'my "own".json'
+    samples.write_text(samples_text(readings()))
+    assert main(["calibrate", "servo", "--samples", str(samples), "--out", str(out)]) == 0
+    told = capsys.readouterr().out.split("data file:\n")[1].split("wrote ")[0]
+    mine = tmp_path / "mine.toml"
+    mine.write_text(f'like = "armpi-mini"\n{told}')
+    troubles, notes = compare_calibration(ArmModel.load(mine))
+    assert troubles == []
+    assert len(notes) == 3  # joints that were not measured
+    mine.write_text(mine.read_text().replace("offset_ticks = 0.0", "offset_ticks = -1.0"))
+    assert "yaw (id 6) has zero_ticks" in compare_calibration(ArmModel.load(mine))[0][0]
 
 
 def test_verb_refuses_and_writes_nothing(tmp_path, capsys):

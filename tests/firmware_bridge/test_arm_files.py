@@ -13,6 +13,7 @@ from firmware_bridge.arm_file import (
     ARMS,
     Body,
     Bus,
+    Calibration,
     Gripper,
     Head,
     Home,
@@ -24,6 +25,7 @@ from firmware_bridge.arm_file import (
 )
 from firmware_bridge.clearance import clearances
 from firmware_bridge.kinematics import ArmModel
+from firmware_bridge.policy import Policy
 
 NAMES = ("armpi", "armpi-mini", "armpi-mini-i2c", "learm", "lx16a-arm", "so-101", "xarm-1s")
 GUIDE = Path(__file__).parents[2] / "docs" / "hardware" / "add-your-arm.md"
@@ -247,7 +249,7 @@ def test_the_files_of_the_guide_load(tmp_path):
 
 def test_the_guide_explains_every_key():
     text = GUIDE.read_text(encoding="utf-8")
-    sections = (Head, Bus, Links, Pitch, Home, Gripper, Limits, Body, Joint)
+    sections = (Head, Bus, Links, Pitch, Home, Gripper, Limits, Body, Joint, Policy, Calibration)
     keys = {each.name for kind in sections for each in fields(kind)}
     assert [key for key in sorted(keys) if not re.search(rf"\b{key}\b", text)] == []
 
@@ -268,6 +270,14 @@ def test_an_arm_without_a_gripper_has_one_servo_less(tmp_path):
         ('like = "nothing"', "no arm is named 'nothing'; known: armpi"),
         ('like = "mine.toml"', "circle"),
         ("like = 3", "like = 3 must be"),
+        ('like = "so-101"\n[policy]\nmax_cc = 3.0', "max_cc'.*did you mean 'max_c'"),
+        ('like = "so-101"\n[policy]\nmax_c = 90.0', "warn_c, max_c and limp_c must rise"),
+        ('like = "so-101"\n[policy]\nmin_v = nan', "min_v = nan"),
+        ('like = "so-101"\n[policy]\nestop = "warn"', "estop = 'warn' is not one of"),
+        ('like = "so-101"\npolicy = 3', "must be a table"),
+        ('like = "so-101"\ncalibration = 3', "must be a table"),
+        ('like = "so-101"\n[calibration]\nfile = "a.json"', "key 'sha256' is missing"),
+        ('like = "so-101"\n[calibration]\nfile = 3\nsha256 = ""', "wrong type"),
         ('like = "so-101"\n[bus]\nprotocol = "stx"', "protocol = 'stx'.*did you mean 'sts'"),
         ('like = "so-101"\n[joints.wrist]\nservo_id = 9', "must hold 4 or 5 joints"),
         ('like = "armpi-mini"\n[joints.rol]\nservo_id = 9', "key 'zero_ticks' is missing"),

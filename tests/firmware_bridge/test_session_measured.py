@@ -9,10 +9,10 @@ from live_arm import LiveArm
 
 from firmware_bridge.errors import HandshakeFailed, LinkLost, NotArmed
 from firmware_bridge.links.dry import DryLink
+from firmware_bridge.policy import Policy
 from firmware_bridge.session import ArmSession, SessionState
 from firmware_bridge.simulator.faulty import servos_of
 from firmware_bridge.simulator.make import Setup
-from firmware_bridge.watch import Policy
 
 PROTOCOLS = ("sts", "lx16a", "rrc-bus")
 
