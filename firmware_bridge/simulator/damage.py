@@ -1,6 +1,6 @@
 """What a bad line does to one frame. Seeded: the random generator is passed in.
 
-Source: the classes of damage that users of servo buses report, see docs/hardware.
+Source: the classes of damage that users of servo buses report, see docs/hardware/simulator.md.
 """
 
 import random
