@@ -28,13 +28,23 @@ from firmware_bridge.codec.dxl2_frame import (
 from firmware_bridge.codec.dxl2_table import N_REGISTERS, REGISTERS, TICKS_S_PER_VELOCITY
 from firmware_bridge.codec.parser import Parser
 from firmware_bridge.codec.protocol import Quantity, ServoFlag, ServoTarget
+from firmware_bridge.codec.ranges import require
+from firmware_bridge.codec.register_messages import (
+    Action,
+    Ping,
+    Read,
+    RegWrite,
+    Status,
+    SyncRead,
+    SyncWrite,
+    Write,
+)
 from firmware_bridge.codec.registers import (
     Answer,
     Ask,
     RegisterProtocol,
     check_ids,
     quantities,
-    require,
 )  # fmt: skip
 from firmware_bridge.errors import ProtocolError
 
@@ -44,69 +54,10 @@ ALERT = 0x80  # bit of Status.error: the hardware error register has something t
 MAX_STATUS = 16  # bytes of data in a status; stuffed ones still fit a believed frame
 
 
-class Ping(NamedTuple):
-    """Ask a servo, or all (0xFE), for model and firmware."""
-
-    servo_id: int
-
-
-class Read(NamedTuple):
-    """Read ``n_bytes`` registers from ``address`` on."""
-
-    servo_id: int
-    address: int
-    n_bytes: int
-
-
-class Write(NamedTuple):
-    """Write registers of one servo, or of all (0xFE)."""
-
-    servo_id: int
-    address: int
-    data: bytes
-
-
-class RegWrite(NamedTuple):
-    """Write registers when the next ``Action`` comes."""
-
-    servo_id: int
-    address: int
-    data: bytes
-
-
-class Action(NamedTuple):
-    """Carry out what was prepared."""
-
-    servo_id: int = BROADCAST
-
-
 class Reboot(NamedTuple):
     """Restart a servo; that also clears its hardware error."""
 
     servo_id: int
-
-
-class SyncRead(NamedTuple):
-    """Read the same registers of several servos; they answer in turn."""
-
-    address: int
-    n_bytes: int
-    servo_ids: Tuple[int, ...]
-
-
-class SyncWrite(NamedTuple):
-    """Write the same registers of several servos: (id, bytes), all of one length."""
-
-    address: int
-    items: Tuple[Tuple[int, bytes], ...]
-
-
-class Status(NamedTuple):
-    """What a servo answers: error number, alert bit, and the registers asked for."""
-
-    servo_id: int
-    error: int
-    data: bytes = b""
 
 
 ToServo = Union[Ping, Read, Write, RegWrite, Action, Reboot, SyncRead, SyncWrite]

@@ -10,7 +10,7 @@ and here they are refused.
 from typing import Dict, NamedTuple, Tuple
 
 from firmware_bridge.codec.parser import IMPOSSIBLE, NEEDS_MORE, Parser
-from firmware_bridge.codec.registers import require
+from firmware_bridge.codec.ranges import require
 from firmware_bridge.errors import ProtocolError
 
 HEADER = b"\xff\xff\xfd\x00"

@@ -10,7 +10,8 @@ from typing import ClassVar, NamedTuple, Sequence, Tuple, Union
 
 from firmware_bridge.codec.parser import IMPOSSIBLE, NEEDS_MORE, Parser
 from firmware_bridge.codec.protocol import Quantity, Query, Reply, ServoProtocol, ServoTarget
-from firmware_bridge.codec.registers import check_ids, require
+from firmware_bridge.codec.ranges import require
+from firmware_bridge.codec.registers import check_ids
 from firmware_bridge.errors import ProtocolError
 
 ADDRESS = 0x7A

@@ -9,6 +9,7 @@ from abc import abstractmethod
 from typing import ClassVar, FrozenSet, List, Mapping, NamedTuple, Sequence, Tuple
 
 from firmware_bridge.codec.protocol import Quantity, Query, Reply, ServoFlag, ServoProtocol
+from firmware_bridge.codec.ranges import require
 from firmware_bridge.errors import ProtocolError
 
 TWOS = -1  # Register.sign_bit of a two's complement
@@ -222,14 +223,3 @@ def check_ids(servo_ids: Sequence[int], max_id: int) -> None:
         require("servo id", servo_id, 0, max_id)
     if len(set(servo_ids)) != len(servo_ids):
         raise ProtocolError(f"a servo is named twice: {list(servo_ids)}")
-
-
-def require(name: str, value: int, low: int, high: int) -> None:
-    """Refuse what is not a whole number in ``low..high``.
-
-    Raises
-    ------
-    ProtocolError : the name, what was found and what was expected.
-    """
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ProtocolError(f"{name} = {value!r} is not a whole number in {low}..{high}")

@@ -5,23 +5,34 @@ feetech-servo-sdk and ftservo-python-sdk. The speed register is taken as steps/s
 tools show it; no real servo was measured.
 """
 
-from typing import ClassVar, Dict, List, NamedTuple, Sequence, Tuple, Union
+from typing import ClassVar, Dict, List, Sequence, Tuple, Union
 
 from firmware_bridge.codec.parser import IMPOSSIBLE, NEEDS_MORE, Parser
 from firmware_bridge.codec.protocol import Quantity, ServoFlag, ServoTarget
+from firmware_bridge.codec.ranges import require
+from firmware_bridge.codec.register_messages import (
+    BROADCAST,
+    Action,
+    Ping,
+    Read,
+    RegWrite,
+    Status,
+    SyncRead,
+    SyncWrite,
+    Write,
+)
 from firmware_bridge.codec.registers import (
     Answer,
     Ask,
     RegisterProtocol,
     check_ids,
     quantities,
-    require,
 )  # fmt: skip
 from firmware_bridge.codec.sts_table import N_REGISTERS, REGISTERS
 from firmware_bridge.errors import ProtocolError
 
 HEADER = b"\xff\xff"
-BROADCAST, MAX_ID = 0xFE, 0xFD
+MAX_ID = 0xFD
 PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
 MAX_FRAME = 250
 MAX_REPLY = 16
@@ -32,65 +43,6 @@ _LENGTHS: Dict[int, Tuple[int, int]] = {
     PING: (2, 2), READ: (4, 4), WRITE: (4, N_REGISTERS + 3), REG_WRITE: (4, N_REGISTERS + 3),
     ACTION: (2, 2), SYNC_READ: (5, _ALL), SYNC_WRITE: (6, _ALL),
 }  # fmt: skip
-
-
-class Ping(NamedTuple):
-    """Ask a servo to answer."""
-
-    servo_id: int
-
-
-class Read(NamedTuple):
-    """Read ``n_bytes`` registers from ``address`` on."""
-
-    servo_id: int
-    address: int
-    n_bytes: int
-
-
-class Write(NamedTuple):
-    """Write registers of one servo, or of all (0xFE)."""
-
-    servo_id: int
-    address: int
-    data: bytes
-
-
-class RegWrite(NamedTuple):
-    """Write registers when the next ``Action`` comes."""
-
-    servo_id: int
-    address: int
-    data: bytes
-
-
-class Action(NamedTuple):
-    """Carry out what was prepared."""
-
-    servo_id: int = BROADCAST
-
-
-class SyncRead(NamedTuple):
-    """Read the same registers of several servos; they answer in turn."""
-
-    address: int
-    n_bytes: int
-    servo_ids: Tuple[int, ...]
-
-
-class SyncWrite(NamedTuple):
-    """Write the same registers of several servos: (id, bytes), all of one length."""
-
-    address: int
-    items: Tuple[Tuple[int, bytes], ...]
-
-
-class Status(NamedTuple):
-    """What a servo answers: its error bits and the registers asked for."""
-
-    servo_id: int
-    error: int
-    data: bytes = b""
 
 
 ToServo = Union[Ping, Read, Write, RegWrite, Action, SyncRead, SyncWrite]

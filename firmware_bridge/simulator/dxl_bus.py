@@ -7,6 +7,7 @@ the goal it holds, however old. Source: vendor protocol manual and X series cont
 from typing import Callable, Dict, List, Sequence, Tuple
 
 from firmware_bridge.codec import dxl2
+from firmware_bridge.codec import register_messages as words
 from firmware_bridge.codec.dxl2_frame import BROADCAST, MAX_ID, STATUS, frame_bytes, servo_parser
 from firmware_bridge.codec.dxl2_table import (
     BAUDS,
@@ -152,13 +153,13 @@ class DxlBus(RegisterBus):
         ProtocolError : parameters that do not fit the instruction, or missing stuffing.
         """
         message = dxl2.decode_to_servo(frame)
-        if isinstance(message, dxl2.SyncWrite):
+        if isinstance(message, words.SyncWrite):
             for servo_id, data in message.items:
                 for member in self.hearing(servo_id, BROADCAST):
                     self.n_rejected += bool(member.obey(message.address, data))
-        elif isinstance(message, dxl2.SyncRead):
+        elif isinstance(message, words.SyncRead):
             self._sync_read(message)
-        elif isinstance(message, dxl2.Ping) and message.servo_id == BROADCAST:
+        elif isinstance(message, words.Ping) and message.servo_id == BROADCAST:
             heard = sorted(self.hearing(BROADCAST, BROADCAST), key=lambda one: one.get("id"))
             self.answer_in_turn([(one, _status(one, 0, _identity(one))) for one in heard])
         else:
@@ -167,20 +168,20 @@ class DxlBus(RegisterBus):
 
     def _obey_one(self, member: RegisterServo, message: dxl2.ToServo) -> None:
         error, data = 0, b""
-        is_ping = isinstance(message, dxl2.Ping)
-        is_read = isinstance(message, dxl2.Read)
+        is_ping = isinstance(message, words.Ping)
+        is_read = isinstance(message, words.Read)
         is_alone = getattr(message, "servo_id", BROADCAST) != BROADCAST
         is_answered = is_alone and (is_ping or member.answers(is_read))
         answer_id = member.servo.servo_id  # before a write may change it
         if is_ping:
             data = _identity(member)
-        elif isinstance(message, dxl2.Read):
+        elif isinstance(message, words.Read):
             data = member.read(message.address, message.n_bytes)
-        elif isinstance(message, dxl2.Write):
+        elif isinstance(message, words.Write):
             error = member.obey(message.address, message.data)
-        elif isinstance(message, dxl2.RegWrite):
+        elif isinstance(message, words.RegWrite):
             member.pending = (message.address, message.data)
-        elif isinstance(message, dxl2.Action):
+        elif isinstance(message, words.Action):
             member.act()
         if is_answered and (data or not is_read):
             self.answer(member, _status(member, error, data, answer_id))
@@ -188,7 +189,7 @@ class DxlBus(RegisterBus):
         if isinstance(message, dxl2.Reboot) and isinstance(member, DxlServo):
             member.reboot()
 
-    def _sync_read(self, message: dxl2.SyncRead) -> None:
+    def _sync_read(self, message: words.SyncRead) -> None:
         frames = []
         for servo_id in message.servo_ids:
             for member in self.hearing(servo_id, BROADCAST):

@@ -7,6 +7,7 @@ Source: vendor manual and memory table.
 
 from typing import Callable, Dict, Sequence
 
+from firmware_bridge.codec import register_messages as words
 from firmware_bridge.codec import sts
 from firmware_bridge.codec.protocol import ServoFlag
 from firmware_bridge.codec.sts_table import BAUDS, EEPROM_END, N_REGISTERS, REGISTERS
@@ -113,37 +114,37 @@ class StsBus(RegisterBus):
         ProtocolError : parameters that do not fit the instruction.
         """
         message = sts.decode_to_servo(frame)
-        if isinstance(message, sts.SyncWrite):
+        if isinstance(message, words.SyncWrite):
             for servo_id, data in message.items:
-                for member in self.hearing(servo_id, sts.BROADCAST):
+                for member in self.hearing(servo_id, words.BROADCAST):
                     member.obey(message.address, data)
-        elif isinstance(message, sts.SyncRead):
+        elif isinstance(message, words.SyncRead):
             self._sync_read(message)
         else:
-            for member in self.hearing(message.servo_id, sts.BROADCAST):
+            for member in self.hearing(message.servo_id, words.BROADCAST):
                 self._obey_one(member, message)
 
     def _obey_one(self, member: RegisterServo, message: sts.ToServo) -> None:
         data = b""
-        is_read = isinstance(message, (sts.Ping, sts.Read))
-        is_alone = getattr(message, "servo_id", sts.BROADCAST) != sts.BROADCAST
-        is_answered = member.answers(is_read) and (is_alone or isinstance(message, sts.Ping))
+        is_read = isinstance(message, (words.Ping, words.Read))
+        is_alone = getattr(message, "servo_id", words.BROADCAST) != words.BROADCAST
+        is_answered = member.answers(is_read) and (is_alone or isinstance(message, words.Ping))
         servo_id = member.servo.servo_id  # before a write may change it
-        if isinstance(message, sts.Read):
+        if isinstance(message, words.Read):
             data = member.read(message.address, message.n_bytes)
-        elif isinstance(message, sts.Write):
+        elif isinstance(message, words.Write):
             member.obey(message.address, message.data)
-        elif isinstance(message, sts.RegWrite):
+        elif isinstance(message, words.RegWrite):
             member.pending = (message.address, message.data)
-        elif isinstance(message, sts.Action):
+        elif isinstance(message, words.Action):
             member.act()
-        if is_answered and (data or not isinstance(message, sts.Read)):
+        if is_answered and (data or not isinstance(message, words.Read)):
             self.answer(member, sts.frame_bytes(servo_id, member.state, data))
 
-    def _sync_read(self, message: sts.SyncRead) -> None:
+    def _sync_read(self, message: words.SyncRead) -> None:
         frames = []
         for servo_id in message.servo_ids:
-            for member in self.hearing(servo_id, sts.BROADCAST):
+            for member in self.hearing(servo_id, words.BROADCAST):
                 data = member.read(message.address, message.n_bytes)
                 frames.append((member, sts.frame_bytes(servo_id, member.state, data)))
         self.answer_in_turn(frames)
