@@ -10,7 +10,8 @@ from firmware_bridge.codec.protocol import Quantity, ServoProtocol
 from firmware_bridge.watch import Kind
 
 _BAUDS = (9600, 115_200, 1_000_000, 500_000, 57_600)
-_QUICK = BusSettings(n_tries=3, budget_s=0.012)
+_QUICK_S = 0.012
+_N_QUICK = 3
 _N_ASKED = 3
 
 
@@ -83,7 +84,11 @@ def _answers_at(bus: Bus, servo_id: int, baud: int, clock: Callable[[], float]) 
     if not bus.link.set_baud(baud):
         return False
     try:
-        probe = Bus(bus.protocol, bus.link, _QUICK, clock)
+        slack_s = bus.settings.slack_s
+        quick = BusSettings(
+            n_tries=_N_QUICK, slack_s=slack_s, budget_s=max(_QUICK_S, _N_QUICK * slack_s)
+        )
+        probe = Bus(bus.protocol, bus.link, quick, clock)
         return bool(probe.read(question(bus.protocol), [servo_id]))
     finally:
         if bus.link.is_open:

@@ -5,7 +5,7 @@ Pure: values in, troubles out; what is done about them is the session's business
 
 import enum
 from collections import deque
-from typing import Deque, Dict, List, NamedTuple, Optional, Tuple
+from typing import Deque, Dict, List, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from firmware_bridge.codec.protocol import ServoFlag
 from firmware_bridge.policy import HOLD, TORQUE_OFF, WARN, Policy
 from firmware_bridge.servos import Measured
 
+_LINE_S = 0.25
 _N_SILENT = 3  # position reads in a row, each with the bus's own retries
 
 
@@ -59,6 +60,8 @@ class Watch:
         self._way: Deque[Tuple[float, Array]] = deque()
         self._off_since: Dict[int, float] = {}
         self._n_silent: Dict[int, int] = {}
+        self._told: Set[int] = set()
+        self._line_since: Optional[float] = None  # when all servos fell silent at once
         self._warned: Dict[int, bool] = {}
 
     def forget(self) -> None:
@@ -66,6 +69,8 @@ class Watch:
         self._way.clear()
         self._off_since.clear()
         self._n_silent.clear()
+        self._told.clear()
+        self._line_since = None
         self._warned.clear()
 
     def expect(self, t_s: float, pose: Array) -> None:
@@ -76,18 +81,33 @@ class Watch:
 
     def measured(self, now_s: float, seen: Measured) -> List[Trouble]:
         """Judge positions and the flags that came with them."""
-        found = self.silent(seen)
+        found = self.silent(now_s, seen)
         for servo_id, flags in seen.flags.items():
             found += self.flagged(servo_id, flags)
         return found + self._stalled(now_s, seen)
 
-    def silent(self, seen: Measured) -> List[Trouble]:
-        """Judge who has not answered some times in a row; each is told once."""
+    def silent(self, now_s: float, seen: Measured) -> List[Trouble]:
+        """Judge who has not answered some times in a row; each is told once.
+
+        All of them at once is more likely a busy host or adapter than six broken servos, and is
+        given some time to pass.
+        """
+        is_line = len(seen.missing) >= len(self._names) > 1
+        if not is_line:
+            self._line_since = None
+        elif self._line_since is None:
+            self._line_since = now_s
+        is_passing = self._line_since is not None and now_s - self._line_since < _LINE_S
         found: List[Trouble] = []
         for servo_id in self._names:
-            n = self._n_silent.get(servo_id, 0) + 1 if servo_id in seen.missing else 0
-            self._n_silent[servo_id] = n
-            if n == _N_SILENT:
+            if servo_id not in seen.missing:
+                self._n_silent[servo_id] = 0
+                self._told.discard(servo_id)
+                continue
+            self._n_silent[servo_id] = self._n_silent.get(servo_id, 0) + 1
+            is_due = self._n_silent[servo_id] >= _N_SILENT and servo_id not in self._told
+            if is_due and not is_passing:
+                self._told.add(servo_id)
                 found.append(self._trouble(Kind.DEAD, servo_id, "does not answer", HOLD))
         return found
 

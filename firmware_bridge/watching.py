@@ -96,7 +96,7 @@ class Watching:
             if self._dead.pop(servo_id) is Kind.DEAD:
                 self._back.append(servo_id)
         if not is_up:
-            found = self._watch.silent(seen) if state in LATCHED else []
+            found = self._watch.silent(self._clock(), seen) if state in LATCHED else []
         else:
             self._watch.expect(began_s, motion.at(began_s))
             found = self._watch.measured(self._clock(), seen)

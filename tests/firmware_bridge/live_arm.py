@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import numpy as np
 
 from firmware_bridge import codec
-from firmware_bridge.bus import Bus
+from firmware_bridge.bus import Bus, BusSettings
 from firmware_bridge.kinematics import ArmModel
 from firmware_bridge.links.serial_link import SerialLink
 from firmware_bridge.session import ArmSession, SessionState
@@ -14,6 +14,8 @@ from firmware_bridge.simulator.faulty import servos_of
 from firmware_bridge.simulator.make import Setup
 from firmware_bridge.simulator.pty_board import PtyBoard, serving
 
+# board and host share this process: on a busy machine an answer may take its time
+PATIENT = BusSettings(slack_s=0.02, budget_s=0.1)
 ARMS = {"sts": "so-101", "lx16a": "lx16a-arm", "rrc-bus": "armpi"}
 
 
@@ -26,7 +28,7 @@ class LiveArm:
         self.firmware = setup.firmware()
         self.board = PtyBoard(self.firmware, options=setup.wire())
         self.link = SerialLink(self.board.port, self.firmware.baud)
-        bus = Bus(codec.protocol(protocol), self.link)
+        bus = Bus(codec.protocol(protocol), self.link, PATIENT)
         self.session = ArmSession(self.arm, bus, time.monotonic, **options)
         self._stack = ExitStack()
 
