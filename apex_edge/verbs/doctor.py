@@ -347,7 +347,7 @@ def check_trigger(config: Any) -> Check:
 def check_arm(config: Any) -> List[Check]:
     """Check that the arm's data can be read and that its port is there."""
     from firmware_bridge.kinematics import ArmModel
-    from firmware_bridge.links.serial_link import ports
+    from firmware_bridge.links.ports import ports
 
     try:
         arm = ArmModel.load(config.type)
@@ -391,9 +391,7 @@ def check_throttling(bits: Optional[int]) -> List[Check]:
         return []
     now = [text for bit, text in THROTTLE_BITS.items() if bits >> bit & 1]
     past = [text for bit, text in THROTTLE_BITS.items() if bits >> (bit + 16) & 1]
-    cure = (
-        "use a 5.1 V 3 A supply with a short cable, and a heat sink; at 600 MHz all is 2.5x slower"
-    )
+    cure = "use a 5.1 V 3 A supply with a short cable, and a heat sink; 600 MHz is 2.5x slower"
     if now:
         return [Check("power and heat", WARN, f"now: {', '.join(now)}", cure)]
     if past:

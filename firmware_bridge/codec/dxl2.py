@@ -227,15 +227,6 @@ class Dxl2(RegisterProtocol):
             items.append((target.servo_id, data))
         return self.write_frames(_R["profile_velocity"].address, items)
 
-    def stop(self, at: Sequence[ServoTarget]) -> Tuple[bytes, ...]:
-        """Return the sync-write that makes the given positions the goals, at full speed.
-
-        A servo may stand outside what can be commanded; the nearest goal is sent then.
-        """
-        low, high = self.ticks
-        held = [ServoTarget(one.servo_id, min(max(one.ticks, low), high)) for one in at]
-        return self.move(held, 0)
-
     def set_limits(self, servo_id: int, low: int, high: int) -> Tuple[bytes, ...]:
         """Return the write of both limits; servos take it while their torque is off.
 

@@ -8,7 +8,14 @@ half-duplex line. Source: ours.
 from abc import abstractmethod
 from typing import ClassVar, FrozenSet, List, Mapping, NamedTuple, Sequence, Tuple
 
-from firmware_bridge.codec.protocol import Quantity, Query, Reply, ServoFlag, ServoProtocol
+from firmware_bridge.codec.protocol import (
+    Quantity,
+    Query,
+    Reply,
+    ServoFlag,
+    ServoProtocol,
+    ServoTarget,
+)
 from firmware_bridge.codec.ranges import require
 from firmware_bridge.errors import ProtocolError
 
@@ -152,6 +159,15 @@ class RegisterProtocol(ServoProtocol):
         self.check_ids([servo_id for servo_id, _ in items])
         parts = range(0, len(items), self.max_sync)
         return tuple(self.write_frame(address, items[at : at + self.max_sync]) for at in parts)
+
+    def stop(self, at: Sequence[ServoTarget]) -> Tuple[bytes, ...]:
+        """Return the sync-write that makes the given positions the goals, at full speed.
+
+        A servo may stand outside what can be commanded; the nearest goal is sent then.
+        """
+        low, high = self.ticks
+        held = [ServoTarget(one.servo_id, min(max(one.ticks, low), high)) for one in at]
+        return self.move(held, 0)
 
     def torque(self, servo_ids: Sequence[int], is_on: bool) -> Tuple[bytes, ...]:
         """Return the sync-write that switches the torque."""
