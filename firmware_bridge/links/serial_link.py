@@ -18,14 +18,14 @@ import serial
 from firmware_bridge.errors import LinkLost, NoSuchPort, PortBusy, PortError
 from firmware_bridge.links.base import Link
 from firmware_bridge.links.echo import EchoFilter
-from firmware_bridge.links.ports import PortInfo, ports
+from firmware_bridge.links.ports import ports
 
 try:
     from termios import error as _TermiosError  # noqa: N812
 except ImportError:  # not a POSIX system
     _TermiosError = OSError  # type: ignore[assignment,misc]
 
-__all__ = ["PortInfo", "SerialLink", "SerialStats", "ports"]
+__all__ = ["SerialLink", "SerialStats"]
 
 # SerialException derives from OSError; both are named since pyserial says either. TypeError and
 # ValueError come from a port that another thread closes at this moment (no descriptor any more).
