@@ -44,8 +44,18 @@ setup(
         "protobuf>=4.21,<8",
     ],
     extras_require={
-        "train": ["scikit-learn>=1.0"],
-        "offline": ["scikit-learn>=1.0", "mujoco>=2.3", "joblib>=1.2", "matplotlib>=3.5"],
+        # linear triggers and reports
+        "train": ["scikit-learn>=1.0", "joblib>=1.2", "matplotlib>=3.5"],
+        # simulated truth
+        "offline": ["scikit-learn>=1.0", "joblib>=1.2", "matplotlib>=3.5", "mujoco>=2.3"],
+        # graph models; one exact torch, since a later one may pull gigabytes
+        "graph": [
+            'torch==2.13.0; python_version >= "3.10"',
+            'torch-geometric==2.8.1; python_version >= "3.10"',
+        ],
+        # shards on several machines; sweeps over settings
+        "distributed": ['dask[distributed]>=2022.2'],
+        "sweep": ["optuna>=3.0"],
         # drivers of depth cameras: docs/depth-cameras.md says which machine has a package
         "realsense": ["pyrealsense2>=2.50"],
         "oak": ["depthai>=2.24,<3"],
@@ -119,6 +129,10 @@ setup(
             "rollout = offline_train.benchmarks.rollout",
             "hand-eye = offline_train.benchmarks.hand_eye",
             "firmware = offline_train.benchmarks.firmware.verb",
+            "trigger = offline_train.benchmarks.trigger.verb",
+        ],
+        "apex_edge.trainings": [
+            "trigger = offline_train.verbs.trigger",
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",

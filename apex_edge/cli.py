@@ -27,14 +27,18 @@ BUILT_IN = {
     "replay": "run the agent over a recording or a video, without an arm",
     "run": "run the agent on a real camera and arm",
     "sim-arm": "a simulated arm on a serial port, with faults on request",
-    "train": "train the linear trigger and export its weights",
+    "train": "train, certify and export hazard triggers",
 }
 # What to install for a module that is only there with an extra.
 EXTRA_OF = {
-    "joblib": "offline",
-    "matplotlib": "offline",
+    "distributed": "distributed",
+    "joblib": "train",
+    "matplotlib": "train",
     "mujoco": "offline",
+    "optuna": "sweep",
     "sklearn": "train",
+    "torch": "graph",
+    "torch_geometric": "graph",
     "yaml": "hiwonder",
 }
 VERB_PARTS = ("HELP", "EXAMPLE", "add_arguments", "run")

@@ -133,8 +133,11 @@ def install(venv: Path, extras: List[str], optional: List[str]) -> None:
         return
     if not optional:
         raise SetupError("pip could not install the project; its message is above")
-    print(f"*** not to be had here: [{', '.join(optional)}]; going on without", file=sys.stderr)
+    print(f"*** not all to be had here: [{', '.join(optional)}]; one by one", file=sys.stderr)
     install(venv, extras, [])
+    for name in optional:
+        if subprocess.run(pip_command(venv, sorted({*extras, name}))).returncode != 0:
+            print(f"*** going on without [{name}]", file=sys.stderr)
 
 
 def main() -> int:

@@ -1,0 +1,88 @@
+"""``apex train trigger``: all steps of the shipped linear trigger in one command.
+
+The shipped weights were made by exactly this command::
+
+    apex train trigger --seed 1 --out apex_edge/data/trigger-linear.json
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any, Dict, Tuple
+
+from apex_edge.errors import ApexError
+from offline_train.trigger.calibrate import Promise
+from offline_train.trigger.export import write
+from offline_train.trigger.pipeline import Sizes, train
+
+HELP = "the linear hazard trigger: generate, fit, certify, test and write it"
+EXAMPLE = "apex train trigger --seed 1 --out trigger-linear.json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--out", type=Path, required=True, help="weights file to write")
+    parser.add_argument("--seed", type=int, required=True, help="same seed, same bytes")
+    parser.add_argument("--alpha", type=float, default=Promise.alpha, help="miss rate to certify")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="scenes, as a multiple of the usual number"
+    )
+    parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train and write; return 0 on success.
+
+    Raises
+    ------
+    MissingExtraError, TooFewEventsError, ApexError : nothing is written.
+    """
+    _check(args)
+    usual = Sizes()
+    sizes = Sizes(
+        *(max(1, int(args.scale * n)) for n in (usual.train, usual.calibration, usual.test))
+    )
+    fields = train(args.seed, sizes, Promise(alpha=args.alpha), _progress)
+    try:
+        write(fields, args.out)
+    except OSError as error:
+        raise ApexError(f"{args.out}: cannot write the weights: {error}") from error
+    print(json.dumps(fields["metrics"], sort_keys=True) if args.json else _report(fields, args.out))
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    if args.seed < 0:
+        raise ApexError(f"--seed {args.seed}: must be 0 or more")
+    if not 0.0 < args.alpha < 1.0:
+        raise ApexError(f"--alpha {args.alpha}: must lie between 0 and 1")
+    if not 0.0 < args.scale <= 100.0:
+        raise ApexError(f"--scale {args.scale}: must lie in (0, 100]")
+    if not args.out.resolve().parent.is_dir():
+        raise ApexError(f"--out {args.out}: its folder does not exist")
+
+
+def _progress(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _report(fields: Dict[str, Any], out: Path) -> str:
+    promise = fields["threshold"]
+    lines = [_row("rule", ("recall", "neg. frames", "false scenes", "PR", "ROC"))]
+    for name in ("linear", "analytic", "speed"):
+        row = fields["metrics"][name]
+        keys = ("recall", "negative_frames", "false_scenes", "pr_auc", "roc_auc")
+        lines.append(_row(name, tuple(f"{row[key]:.3f}" for key in keys)))
+    n_late = promise["n_contacts"] - promise["n_pos"]
+    lines.append(
+        f"certified: recall >= {1 - promise['alpha']:.3f} at {promise['confidence']:.0%} "
+        f"confidence, {promise['lead_s']:.1f} s before contact, on {promise['n_pos']} events; "
+        f"{n_late} contacts showed too little or too late to count"
+    )
+    lines.append(f"wrote {out}")
+    return "\n".join(lines)
+
+
+def _row(name: str, cells: Tuple[str, ...]) -> str:
+    return f"{name:9s}" + "".join(f"{cell:>14s}" for cell in cells)
