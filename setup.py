@@ -54,7 +54,7 @@ setup(
             'torch-geometric==2.8.1; python_version >= "3.10"',
         ],
         # shards on several machines; sweeps over settings
-        "distributed": ['dask[distributed]>=2022.2'],
+        "distributed": ["dask[distributed]>=2022.2"],
         "sweep": ["optuna>=3.0"],
         # drivers of depth cameras: docs/depth-cameras.md says which machine has a package
         "realsense": ["pyrealsense2>=2.50"],
