@@ -133,6 +133,8 @@ setup(
         ],
         "apex_edge.scenarios": [
             "tabletop-pairs = offline_train.scenes.tabletop_pairs",
+            "tabletop-cv = offline_train.scenes.tabletop_cv",
+            "committed = offline_train.scenes.committed",
         ],
         "apex_edge.trainings": [
             "trigger = offline_train.verbs.trigger",
