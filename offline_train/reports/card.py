@@ -225,4 +225,5 @@ def _range(ends: Any, unit: str) -> str:
 
 def _th(rank: int) -> str:
     last = rank % 10 if rank % 100 not in (11, 12, 13) else 0
-    return f"{rank}{ {1: 'st', 2: 'nd', 3: 'rd'}.get(last, 'th') }"
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(last, "th")
+    return f"{rank}{ending}"
