@@ -138,6 +138,8 @@ setup(
         ],
         "apex_edge.trainings": [
             "trigger = offline_train.verbs.trigger",
+            "evaluate = offline_train.verbs.evaluate",
+            "export = offline_train.verbs.export",
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",

@@ -134,7 +134,7 @@ def _overview(models: Mapping[str, Model]) -> str:
     rows: List[List[str]] = []
     for name, model in models.items():
         promise = model.fields["threshold"]
-        certified = "none" if promise is None else f"{1.0 - promise['alpha']:.1%}"
+        certified = "none" if promise is None else tables.share(1.0 - promise["alpha"])
         rows.append(
             [
                 name,
