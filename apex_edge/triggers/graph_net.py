@@ -199,7 +199,8 @@ class GraphNet:
         if self._star_edge is not None:
             message += self._star_edge(edge_features)
         out[target] += message
-        return out if self._is_affine else self._act(out) @ self._ends
+        ends: Array = out if self._is_affine else self._act(out) @ self._ends
+        return ends
 
     def _transformer(
         self, hidden: Array, ways: Tuple[Array, Array], edge: Optional[Array]
@@ -238,9 +239,10 @@ class GraphNet:
     def _act(self, values: Array) -> Array:
         if self.spec.activation == "none":
             return values
-        if self.spec.activation == "relu":
-            return np.maximum(values, 0.0)
-        return np.where(values > 0.0, values, np.expm1(np.minimum(values, 0.0)))
+        bent: Array = np.maximum(values, 0.0)
+        if self.spec.activation == "elu":
+            bent += np.expm1(np.minimum(values, 0.0))
+        return bent
 
     def _layer(self, name: str) -> _Affine:
         weight = self.layers[f"{name}.weight"]
