@@ -131,6 +131,9 @@ setup(
             "firmware = offline_train.benchmarks.firmware.verb",
             "trigger = offline_train.benchmarks.trigger.verb",
         ],
+        "apex_edge.scenarios": [
+            "tabletop-pairs = offline_train.scenes.tabletop_pairs",
+        ],
         "apex_edge.trainings": [
             "trigger = offline_train.verbs.trigger",
         ],
