@@ -54,7 +54,7 @@ def train(
         "seed": seed,
         "metrics": {tabletop_pairs.NAME: tested},
     }
-    return export.document(model, threshold, promise, config, notes)
+    return export.document(export.linear(model), threshold, promise, config, notes)
 
 
 def _test(seen: Observed, model: LinearFit, threshold: float, lead_s: float) -> Dict[str, Any]:
