@@ -104,6 +104,7 @@ setup(
         "apex_edge.triggers": [
             "analytic = apex_edge.triggers.analytic:AnalyticTrigger",
             "linear = apex_edge.triggers.linear:LinearTrigger",
+            "graph = apex_edge.triggers.graph_trigger:GraphTrigger",
         ],
         "apex_edge.simulators": [
             "kernel = apex_edge.simulate.kernel:KernelSim",
@@ -138,6 +139,9 @@ setup(
         ],
         "apex_edge.trainings": [
             "trigger = offline_train.verbs.trigger",
+            "evaluate = offline_train.verbs.evaluate",
+            "export = offline_train.verbs.export",
+            "verify = offline_train.verbs.verify",
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",
