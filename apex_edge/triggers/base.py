@@ -46,8 +46,9 @@ class TriggerConfig:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of m pairs: geometry, noise, and how much was seen.
+    """What is known of m pairs: who, geometry, noise, and how much was seen.
 
+    ``mover_id``, ``target_id (m,)`` say which pairs share a mover or a target in this frame;
     ``sigma_m (m,)`` sd of the miss distance, ``early_s (m,)`` pessimistic time to contact,
     ``is_moving (m,)`` of the mover, ``n_samples (m,)`` behind the younger of the two tracks,
     ``horizon_s`` scalar.
@@ -60,6 +61,8 @@ class Evidence:
     is_moving: Array
     n_samples: Array
     horizon_s: float
+    mover_id: Array
+    target_id: Array
 
     @property
     def is_possible(self) -> Array:
@@ -85,6 +88,8 @@ class Evidence:
             is_moving=self.is_moving[rows],
             n_samples=self.n_samples[rows],
             horizon_s=self.horizon_s,
+            mover_id=self.mover_id[rows],
+            target_id=self.target_id[rows],
         )
 
 
@@ -119,15 +124,15 @@ class Trigger(ABC):
         edges, is_moving = movers_first(tracks, diff.graph.edges, self.config)
         pairs = pairs_of(tracks, edges, diff.dt_s)
         table = _Table.at_rest(pairs)
+        ids = tracks.track_id[edges]
         moving = np.flatnonzero(is_moving)
         if len(moving):
             samples = np.min(tracks.n_samples[edges[moving]], axis=1)
-            evidence = weigh(pairs.take(moving), is_moving[moving], samples, horizon_s)
+            evidence = weigh(pairs.take(moving), is_moving[moving], samples, horizon_s, ids[moving])
             table.put_approach(moving, evidence)
             possible = np.flatnonzero(evidence.is_possible)
             if len(possible):
                 table.put_verdict(moving[possible], self.judge(evidence.take(possible)))
-        ids = tracks.track_id[edges]
         voted = self._persistence.update(ids, table.is_hit)
         return HazardScores(
             seq=diff.seq,
@@ -245,9 +250,20 @@ def movers_first(tracks: Tracks, edges: Array, config: TriggerConfig) -> Tuple[A
     return ordered, moves[ordered[:, 0]]
 
 
-def weigh(pairs: Pairs, is_moving: Array, n_samples: Array, horizon_s: float) -> Evidence:
-    """Work out closest approach, noise and pessimistic contact of m pairs."""
+def weigh(
+    pairs: Pairs,
+    is_moving: Array,
+    n_samples: Array,
+    horizon_s: float,
+    ids: Optional[Array] = None,
+) -> Evidence:
+    """Work out closest approach, noise and pessimistic contact of m pairs.
+
+    ``ids (m, 2)`` of movers and targets; None = no two pairs have an object in common.
+    """
     approach = closest(pairs, horizon_s)
+    if ids is None:
+        ids = np.arange(2 * len(is_moving)).reshape(-1, 2)
     return Evidence(
         pairs=pairs,
         approach=approach,
@@ -256,6 +272,8 @@ def weigh(pairs: Pairs, is_moving: Array, n_samples: Array, horizon_s: float) ->
         is_moving=is_moving,
         n_samples=n_samples,
         horizon_s=horizon_s,
+        mover_id=ids[:, 0],
+        target_id=ids[:, 1],
     )
 
 

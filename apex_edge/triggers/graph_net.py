@@ -154,7 +154,8 @@ class GraphNet:
         if self._is_affine:
             parts = [encoder.then(part) for part in parts]
         self._project = _stacked(parts)
-        if spec.architecture == GRAPHORMER:
+        self._has_star = spec.architecture == GRAPHORMER and not spec.is_bidirectional
+        if self._has_star:
             self._fold_star(parts[3], parts[2])
 
     def logits(self, nodes: Array, edges: Array, edge_features: Array) -> Array:
@@ -170,11 +171,10 @@ class GraphNet:
         if not len(source):
             return np.zeros(0)
         hidden = nodes if self._encoder is None else self._act(self._encoder(nodes))
-        if self.spec.architecture == GRAPHORMER and not self.spec.is_bidirectional:
-            if np.bincount(target).max() == 1:
-                ends = self._star(hidden, source, target, edge_features)
-                return ends[source, 0] + ends[target, 1] + self._bias
-        ends = self._act(self._convolve(hidden, source, target, edge_features)) @ self._ends
+        if self._has_star and np.bincount(target).max() == 1:
+            ends = self._star(hidden, source, target, edge_features)
+        else:
+            ends = self._act(self._convolve(hidden, source, target, edge_features)) @ self._ends
         logits: Array = ends[source, 0] + ends[target, 1] + self._bias
         return logits
 
@@ -199,7 +199,8 @@ class GraphNet:
         if self._star_edge is not None:
             message += self._star_edge(edge_features)
         out[target] += message
-        return out if self._is_affine else self._act(out) @ self._ends
+        ends: Array = out if self._is_affine else self._act(out) @ self._ends
+        return ends
 
     def _transformer(
         self, hidden: Array, ways: Tuple[Array, Array], edge: Optional[Array]
@@ -238,9 +239,10 @@ class GraphNet:
     def _act(self, values: Array) -> Array:
         if self.spec.activation == "none":
             return values
-        if self.spec.activation == "relu":
-            return np.maximum(values, 0.0)
-        return np.where(values > 0.0, values, np.expm1(np.minimum(values, 0.0)))
+        bent: Array = np.maximum(values, 0.0)
+        if self.spec.activation == "elu":
+            bent += np.expm1(np.minimum(values, 0.0))
+        return bent
 
     def _layer(self, name: str) -> _Affine:
         weight = self.layers[f"{name}.weight"]
