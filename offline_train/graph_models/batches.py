@@ -1,12 +1,12 @@
 """Graphs of any size as flat arrays, and batches cut from them."""
 
 from dataclasses import dataclass
-from typing import Iterator
+from typing import Iterator, Tuple
 
 import numpy as np
 
 from apex_edge.types import Array
-from offline_train.scenes.star import StarSet
+from offline_train.scenes.star import EDGE_NAMES, NODE_NAMES, StarSet
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,8 @@ class Graphs:
 
     ``nodes (N, F)``; ``edges (2, R)`` source -> target, counted over all nodes;
     ``edge_features (R, K)``; ``labels (R,)`` in [0, 1], hard or soft; the nodes of graph i are
-    ``node_start[i]:node_start[i + 1]``, its edges ``edge_start[i]:edge_start[i + 1]``.
+    ``node_start[i]:node_start[i + 1]``, its edges ``edge_start[i]:edge_start[i + 1]``;
+    ``node_names``, ``edge_names`` of the F and K features.
     """
 
     nodes: Array
@@ -24,6 +25,8 @@ class Graphs:
     labels: Array
     node_start: Array
     edge_start: Array
+    node_names: Tuple[str, ...]
+    edge_names: Tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.node_start) - 1
@@ -43,6 +46,8 @@ class Graphs:
             labels=self.labels[edge_rows],
             node_start=node_start,
             edge_start=np.r_[0, np.cumsum(n_edges)],
+            node_names=self.node_names,
+            edge_names=self.edge_names,
         )
 
 
@@ -53,12 +58,14 @@ def batches(n_graphs: int, size: int, random: np.random.Generator) -> Iterator[A
         yield order[begin : begin + size]
 
 
-def star_graphs(stars: StarSet, edge_features: Array, labels: Array) -> Graphs:
+def star_graphs(
+    stars: StarSet, labels: Array, edge_features: Array, edge_names: Tuple[str, ...] = EDGE_NAMES
+) -> Graphs:
     """Return stars as graphs, edges master -> target.
 
     Parameters
     ----------
-    edge_features : (g, n - 1, K); labels : (g, n - 1).
+    labels : (g, n - 1); edge_features : (g, n - 1, K) or (g * (n - 1), K).
     """
     n_graphs, n_nodes = stars.node_t.shape[:2]
     first = n_nodes * np.arange(n_graphs)
@@ -71,6 +78,8 @@ def star_graphs(stars: StarSet, edge_features: Array, labels: Array) -> Graphs:
         labels=labels.reshape(n_edges).astype(np.float64),
         node_start=n_nodes * np.arange(n_graphs + 1),
         edge_start=(n_nodes - 1) * np.arange(n_graphs + 1),
+        node_names=NODE_NAMES,
+        edge_names=edge_names,
     )
 
 

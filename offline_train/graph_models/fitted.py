@@ -52,4 +52,5 @@ def standardised(graphs: Graphs, node_scaler: Scaler, edge_scaler: Scaler) -> Gr
         graphs,
         nodes=node_scaler.apply(graphs.nodes),
         edge_features=edge_scaler.apply(graphs.edge_features[:, :n_columns]),
+        edge_names=graphs.edge_names[:n_columns],
     )

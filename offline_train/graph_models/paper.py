@@ -63,7 +63,7 @@ class Outcome:
 def paper_graphs(stars: StarSet, quirks: Quirks) -> Graphs:
     """Return stars as the paper's models see them, with the paper's labels."""
     labels = stars.designed if quirks.is_designed_label else stars.risk_fixed > RISK_TAU
-    return star_graphs(stars, paper_edges(stars, quirks.is_raw_displacement), labels)
+    return star_graphs(stars, labels, paper_edges(stars, quirks.is_raw_displacement))
 
 
 def train_paper(

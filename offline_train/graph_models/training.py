@@ -14,9 +14,6 @@ from offline_train.graph_models.batches import Graphs, batches
 from offline_train.graph_models.fitted import GraphFit, from_layers, standardised
 from offline_train.trigger.scaling import fitted, identity
 
-# Edge features of these names are clipped where a linear model clips them too.
-Names = Tuple[str, ...]
-
 
 @dataclass(frozen=True)
 class Options:
@@ -40,7 +37,6 @@ def fit(
     make: Callable[[], EdgeModel],
     graphs: Graphs,
     options: Options,
-    edge_names: Names = (),
     on_epoch: Optional[Callable[[], None]] = None,
 ) -> GraphFit:
     """Train a fresh model on graphs and return it, ready to score.
@@ -48,7 +44,6 @@ def fit(
     Parameters
     ----------
     make : returns the untrained model; its random numbers are seeded here.
-    edge_names : of the edge features, so that ``scaling.LIMITED`` ones are clipped.
     on_epoch : called after each epoch, for a progress line.
     """
     with _deterministic(options.seed):
@@ -60,8 +55,8 @@ def fit(
         edge_features = graphs.edge_features[:, :n_columns]
         node_scaler, edge_scaler = identity(graphs.nodes.shape[1]), identity(n_columns)
         if options.is_standardised:
-            node_scaler = fitted(graphs.nodes, ())
-            edge_scaler = fitted(edge_features, edge_names[:n_columns])
+            node_scaler = fitted(graphs.nodes, graphs.node_names)
+            edge_scaler = fitted(edge_features, graphs.edge_names[:n_columns])
         scaled = standardised(graphs, node_scaler, edge_scaler)
         _optimise(model, scaled, options, on_epoch)
         exported = model.export()
