@@ -136,6 +136,9 @@ setup(
             "diffgat = offline_train.graph_models.models:diffgat",
             "diffgcn = offline_train.graph_models.models:diffgcn",
         ],
+        "apex_edge.scenarios": [
+            "tabletop-pairs = offline_train.scenes.tabletop_pairs",
+        ],
         "apex_edge.trainings": [
             "fit = offline_train.verbs.fit",
             "distill = offline_train.verbs.distill",

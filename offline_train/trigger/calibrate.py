@@ -100,12 +100,12 @@ def calibrate(seen: Observed, logit: Array, config: TriggerConfig, promise: Prom
 
 
 def voted(seen: Observed, logit: Array, config: TriggerConfig) -> Array:
-    """Return per scene and frame (n, f) the highest threshold at which the device would fire.
+    """Return per pair and frame (n, f) the highest threshold at which the device would fire.
 
     -inf where it cannot: the pair fails the gates now, or too few recent frames pass them.
     """
     raw = np.full(seen.is_judged.shape, -np.inf)
-    raw[seen.scene, seen.frame] = logit
+    raw[seen.pair, seen.frame] = logit
     n_frames, n_hits = config.persist_frames, config.persist_hits
     padded = np.concatenate([np.full((len(raw), n_frames - 1), -np.inf), raw], axis=1)
     shifted = np.stack([padded[:, i : i + raw.shape[1]] for i in range(n_frames)], axis=2)
@@ -115,14 +115,14 @@ def voted(seen: Observed, logit: Array, config: TriggerConfig) -> Array:
 
 
 def is_watched(seen: Observed, lead_s: float) -> Array:
-    """Say in which scenes (n,) contact comes no later than the watch plus the lead."""
+    """Say for which pairs (n,) contact comes no later than the watch plus the lead."""
     n_frames = seen.is_clear.shape[1]
     watched: Array = seen.contact_s - lead_s <= (n_frames - 1) * seen.frame_s
     return watched
 
 
 def is_eligible(seen: Observed, lead_s: float) -> Array:
-    """Say in which scenes (n,) contact comes and the mover was visible long enough before it."""
+    """Say for which pairs (n,) contact comes and the mover was visible long enough before it."""
     time = np.arange(seen.is_clear.shape[1]) * seen.frame_s[:, None]
     in_time = seen.is_clear & (time <= (seen.contact_s - lead_s)[:, None])
     eligible: Array = is_watched(seen, lead_s) & (in_time.sum(axis=1) * seen.frame_s >= VISIBLE_S)

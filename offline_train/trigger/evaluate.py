@@ -9,8 +9,8 @@ from apex_edge.triggers.base import TriggerConfig
 from apex_edge.triggers.features import FEATURE_NAMES
 from apex_edge.types import Array
 from offline_train.trigger.calibrate import event_scores, voted
-from offline_train.trigger.fit import ROWS_PER_SCENE, LinearFit, sklearn_module, thin
-from offline_train.trigger.observe import HORIZON_S, Observed
+from offline_train.trigger.fit import ROWS_PER_PAIR, LinearFit, sklearn_module, thin
+from offline_train.trigger.observe import Observed
 
 _N_BINS = 15
 
@@ -41,7 +41,7 @@ def evaluate(scenes: Observed, contacts: Observed, model: Model) -> Dict[str, An
     cut = {"linear": model.threshold, "analytic": -model.config.k_sigma, "speed": equal}
     score = {"linear": logit, "analytic": _z(scenes), "speed": scenes.speed_m_s}
     on_contacts = {"linear": early, "analytic": _z(contacts), "speed": contacts.speed_m_s}
-    rows = thin(scenes.scene, ROWS_PER_SCENE, 0)
+    rows = thin(scenes.pair, ROWS_PER_PAIR, 0)
     label = scenes.label[rows]
     report: Dict[str, Any] = {}
     for name in cut:
@@ -89,7 +89,7 @@ def _recall(contacts: Observed, rule: Tuple[Array, float], model: Model) -> floa
 def _false_alarms(seen: Observed, rule: Tuple[Array, float], model: Model) -> Dict[str, float]:
     fires = voted(seen, rule[0], model.config) >= rule[1]
     time = np.arange(fires.shape[1]) * seen.frame_s[:, None]
-    is_negative = seen.is_judged & ~(seen.contact_s[:, None] - time <= HORIZON_S)
+    is_negative = seen.is_judged & ~(seen.contact_s[:, None] - time <= seen.horizon_s[:, None])
     is_harmless = ~np.isfinite(seen.contact_s)
     return {
         "negative_frames": float(fires[is_negative].mean()),

@@ -23,12 +23,13 @@ from apex_edge.triggers.features import (
     edge_features,
 )
 from apex_edge.types import Array
+from offline_train.scenes import tabletop_pairs
 from offline_train.trigger.calibrate import VISIBLE_S, Promise, Threshold
 from offline_train.trigger.estimate import end_covariance
 from offline_train.trigger.fit import LinearFit, sklearn_module
-from offline_train.trigger.generate import GENERATOR, GENERATOR_VERSION
-from offline_train.trigger.observe import FPS, HORIZON_S, NOISE_M, WINDOWS
+from offline_train.trigger.observe import Watching
 
+WATCHING = Watching()
 GATE_KEYS = ("min_speed_m_s", "min_speed_sd", "persist_hits", "persist_frames")
 # Beyond these the model extrapolates. Small distance and small sd are no extrapolation: touching
 # is certain, and z and reach are clipped.
@@ -42,7 +43,7 @@ def document(
     config: TriggerConfig,
     notes: Dict[str, Any],
 ) -> Dict[str, Any]:
-    """Build all fields of a weights file; ``notes`` holds ``radius_m``, ``seeds``, ``metrics``."""
+    """Build all fields of a weights file; ``notes`` holds ``radius_m``, ``seed``, ``metrics``."""
     low, high = fit.low.tolist(), fit.high.tolist()
     ranges = {name: [low[i], high[i]] for i, name in enumerate(FEATURE_NAMES)}
     domain = {
@@ -58,9 +59,9 @@ def document(
         "feature_names": list(FEATURE_NAMES),
         "feature_units": list(FEATURE_UNITS),
         "dims": 2,
-        "horizon_s": HORIZON_S,
-        "fps_range": list(FPS),
-        "windows": list(WINDOWS),
+        "horizon_s": WATCHING.horizon_s,
+        "fps_range": list(WATCHING.fps),
+        "windows": list(WATCHING.window),
         "scaler": {"mean": fit.mean.tolist(), "scale": fit.scale.tolist()},
         "clip": {"lo": fit.clip_lo.tolist(), "hi": fit.clip_hi.tolist()},
         "weights": fit.weight.tolist(),
@@ -69,8 +70,8 @@ def document(
         "gate": {key: getattr(config, key) for key in GATE_KEYS},
         "training_range": ranges,
         "domain": domain,
-        "noise_model": {"kind": "white, per axis", "sd_m": list(NOISE_M)},
-        "provenance": _provenance(notes["seeds"]),
+        "noise_model": {"kind": "white, per axis", "sd_m": list(WATCHING.noise_m)},
+        "provenance": _provenance(notes["seed"]),
         "metrics": notes["metrics"],
         "golden": golden_vectors(fit),
     }
@@ -113,7 +114,7 @@ def golden_vectors(fit: LinearFit) -> List[Dict[str, Any]]:
         radius_m=np.array([0.03, 0.035, 0.04, 0.05, 0.035, 0.03]),
         cov=2.0 * cov,
     )
-    features = edge_features(pairs, closest(pairs, HORIZON_S), HORIZON_S)
+    features = edge_features(pairs, closest(pairs, WATCHING.horizon_s), WATCHING.horizon_s)
     logit = fit.logit(features)
     return [
         _golden(pairs.take(np.array([row])), features[row], float(logit[row])) for row in range(6)
@@ -122,7 +123,7 @@ def golden_vectors(fit: LinearFit) -> List[Dict[str, Any]]:
 
 def _golden(pair: Pairs, features: Array, logit: float) -> Dict[str, Any]:
     case = {name: value[0].tolist() for name, value in asdict(pair).items()}
-    return dict(case, horizon_s=HORIZON_S, features=features.tolist(), logit=logit)
+    return dict(case, horizon_s=WATCHING.horizon_s, features=features.tolist(), logit=logit)
 
 
 def _certificate(threshold: Threshold, promise: Promise) -> Dict[str, Any]:
@@ -139,11 +140,11 @@ def _certificate(threshold: Threshold, promise: Promise) -> Dict[str, Any]:
     }
 
 
-def _provenance(seeds: Dict[str, int]) -> Dict[str, Any]:
+def _provenance(seed: int) -> Dict[str, Any]:
     return {
-        "generator": GENERATOR,
-        "generator_version": GENERATOR_VERSION,
-        "seeds": seeds,
+        "generator": tabletop_pairs.NAME,
+        "generator_version": tabletop_pairs.VERSION,
+        "seed": seed,
         "label": "true contact within the horizon",
         "libraries": {
             "python": platform.python_version(),

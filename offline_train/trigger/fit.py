@@ -12,7 +12,7 @@ from apex_edge.types import Array
 from offline_train.trigger.observe import Observed
 
 # Frames of one approach are alike; a few of each are enough.
-ROWS_PER_SCENE = 12
+ROWS_PER_PAIR = 12
 _LIMIT_SD = 4.0
 
 
@@ -67,7 +67,7 @@ def sklearn_module(name: str) -> Any:
 
 def fit(train: Observed, seed: int) -> LinearFit:
     """Fit without class weights, so that the probability means what it says."""
-    rows = thin(train.scene, ROWS_PER_SCENE, seed)
+    rows = thin(train.pair, ROWS_PER_PAIR, seed)
     features, label = train.features[rows], train.label[rows]
     clip_lo, clip_hi = features.min(axis=0), features.max(axis=0)
     for name in ("z", "reach", "z_pos", "reach_pos"):
@@ -90,11 +90,11 @@ def fit(train: Observed, seed: int) -> LinearFit:
     )
 
 
-def thin(scene: Array, n_each: int, seed: int) -> Array:
-    """Return row indices with at most ``n_each`` random rows of each scene, in order."""
-    order = np.random.default_rng(seed).permutation(len(scene))
-    ranked = order[np.argsort(scene[order], kind="stable")]
-    owner = scene[ranked]
+def thin(pair: Array, n_each: int, seed: int) -> Array:
+    """Return row indices with at most ``n_each`` random rows of each pair, in order."""
+    order = np.random.default_rng(seed).permutation(len(pair))
+    ranked = order[np.argsort(pair[order], kind="stable")]
+    owner = pair[ranked]
     starts = np.flatnonzero(np.r_[True, owner[1:] != owner[:-1]])
     place = np.arange(len(owner)) - np.repeat(starts, np.diff(np.r_[starts, len(owner)]))
     return np.sort(ranked[place < n_each])

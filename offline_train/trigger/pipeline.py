@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import Any, Callable, Dict
 
 from apex_edge.triggers.base import TriggerConfig
-from offline_train.trigger import export
+from offline_train.scenes import tabletop_pairs
+from offline_train.trigger import export, seeds
 from offline_train.trigger.calibrate import Promise, calibrate
 from offline_train.trigger.evaluate import Model, evaluate
 from offline_train.trigger.fit import fit, sklearn_module
-from offline_train.trigger.observe import observe
+from offline_train.trigger.observe import Observed, Watching, observe
 
 
 @dataclass(frozen=True)
@@ -32,21 +33,25 @@ def train(
     """
     sklearn_module("sklearn")
     config = TriggerConfig()
-    parts = ("train", "calibration", "test", "test_events")
-    seeds = {part: len(parts) * seed + number for number, part in enumerate(parts)}
+
+    def watch(purpose: str, stream: int, n: int, only_contacts: bool = False) -> Observed:
+        rng = seeds.rng(purpose, seed, stream)
+        return observe(rng, tabletop_pairs.NAME, n, Watching(), config, only_contacts)
+
     say(f"training on {sizes.train} scenes")
-    learnt = observe(seeds["train"], sizes.train, config)
+    learnt = watch("train", 0, sizes.train)
     model = fit(learnt, seed)
     say(f"certifying on the contacts of {sizes.calibration} other scenes")
-    held = observe(seeds["calibration"], sizes.calibration, config, only_contacts=True)
+    held = watch("calibration", 0, sizes.calibration, only_contacts=True)
     threshold = calibrate(held, model.logit(held.features), config, promise)
     say(f"testing on {sizes.test + sizes.calibration} scenes never seen")
-    scenes = observe(seeds["test"], sizes.test, config)
-    contacts = observe(seeds["test_events"], sizes.calibration, config, only_contacts=True)
+    scenes = watch("test", 0, sizes.test)
+    contacts = watch("test", 1, sizes.calibration, only_contacts=True)
     metrics = evaluate(scenes, contacts, Model(model, threshold.logit, config, promise.lead_s))
+    radius = learnt.geometry.radius_m
     notes = {
-        "radius_m": [float(learnt.radius_m.min()), float(learnt.radius_m.max())],
-        "seeds": seeds,
+        "radius_m": [float(radius.min()), float(radius.max())],
+        "seed": seed,
         "metrics": metrics,
     }
     return export.document(model, threshold, promise, config, notes)

@@ -7,12 +7,22 @@ from apex_edge.errors import ApexError
 from apex_edge.triggers import weights
 from apex_edge.triggers.base import TriggerConfig
 from offline_train import verb
-from offline_train.trigger import calibrate, estimate, fit, generate, observe, pipeline
+from offline_train.scenes import tabletop_pairs
+from offline_train.scenes.truth import first_contact
+from offline_train.trigger import calibrate, estimate, fit, observe, pipeline
 
 
 @pytest.fixture(scope="module")
-def seen():
-    return observe.observe(5, 500, TriggerConfig())
+def scenes():
+    return tabletop_pairs.draw_scenes(np.random.default_rng(5), 500)
+
+
+@pytest.fixture(scope="module")
+def seen(scenes):
+    rng, watching = np.random.default_rng(6), observe.Watching()
+    sensing = observe.draw_sensing(rng, 500, watching)
+    truth = tabletop_pairs.follow(scenes, sensing.frame_s, watching.n_frames)
+    return observe.look(rng, truth, sensing, watching, TriggerConfig())
 
 
 def run(*arguments):
@@ -61,39 +71,35 @@ def test_a_fit_without_noise_finds_the_motion(is_adaptive):
     assert np.allclose(found.velocity[0, -1], [0.2 - 0.1 * time[-1], -0.1], atol=0.03)
 
 
-def test_the_label_is_true_contact_and_nothing_the_device_believes(seen):
-    rng = np.random.default_rng(5)
-    scenes = generate.draw(rng, 500)
-    contact = generate.contact_time(scenes, 12.5)
-    left = contact[seen.scene] - seen.frame * seen.frame_s[seen.scene]
+def test_the_label_is_true_contact_and_nothing_the_device_believes(seen, scenes):
+    contact = first_contact(lambda t_s: tabletop_pairs.place(scenes, t_s), scenes.radius_m, 12.5)
+    left = contact[seen.pair] - seen.frame * seen.frame_s[seen.pair]
     assert np.array_equal(seen.label, left <= 5.0)
     assert 0.2 < seen.label.mean() < 0.8
     # at the moment of contact the bodies touch, a moment before they do not
     hit = np.flatnonzero(np.isfinite(contact) & (contact > 0.05))
     for when, is_in in ((contact[hit], True), (contact[hit] - 0.02, False)):
-        mover, target = generate.place(scenes.take(hit), when[:, None])
+        mover, target = tabletop_pairs.place(scenes.take(hit), when[:, None])
         gap = np.linalg.norm(mover - target, axis=2)[:, 0]
         assert np.array_equal(gap <= scenes.radius_m[hit] + 1e-12, np.full(len(hit), is_in))
 
 
-def test_a_hand_stands_still_before_and_after_its_move_and_covers_its_length():
-    scenes = generate.draw(np.random.default_rng(1), 400)
-    hands = scenes.take(scenes.kind == generate.HAND)
+def test_a_hand_stands_still_before_and_after_its_move_and_covers_its_length(scenes):
+    hands = scenes.take(scenes.kind == tabletop_pairs.HAND)
     n = len(hands.kind)
     far = hands.t_start_s + hands.length_m / hands.speed_m_s
-    start, end = (generate.place(hands, t[:, None])[0][:, 0] for t in (np.zeros(n), far))
-    late = generate.place(hands, (far + 3.0)[:, None])[0][:, 0]
+    start, end = (tabletop_pairs.place(hands, t[:, None])[0][:, 0] for t in (np.zeros(n), far))
+    late = tabletop_pairs.place(hands, (far + 3.0)[:, None])[0][:, 0]
     assert np.allclose(start, hands.start_m)
     assert np.allclose(np.linalg.norm(end - start, axis=1), hands.length_m)
     assert np.allclose(end, late)
 
 
-def test_scenes_in_which_nothing_moves_pass_the_gate_by_chance_alone(seen):
-    is_still = seen.kind == generate.STILL
-    scenes = generate.draw(np.random.default_rng(5), 500)
+def test_scenes_in_which_nothing_moves_pass_the_gate_by_chance_alone(seen, scenes):
+    is_still = seen.kind == tabletop_pairs.STILL
     is_still &= ~scenes.target_vel_m_s.any(axis=1)
     assert is_still.sum() > 20
-    judged = np.isin(seen.scene, np.flatnonzero(is_still)).sum()
+    judged = np.isin(seen.pair, np.flatnonzero(is_still)).sum()
     assert judged <= 0.001 * seen.is_judged[is_still].sum()
 
 
@@ -131,29 +137,28 @@ def test_the_vote_of_the_trainer_is_that_of_the_device(seen):
     config, cut = TriggerConfig(), 0.0
     logit = seen.features[:, 6]
     fires = calibrate.voted(seen, logit, config) >= cut
-    scenes = np.unique(seen.scene)[:40]
-    for scene in scenes:
+    for pair in np.unique(seen.pair)[:40]:
         vote = Persistence(config.persist_hits, config.persist_frames)
-        mine = seen.scene == scene
+        mine = seen.pair == pair
         hit = np.zeros(fires.shape[1], dtype=bool)
         hit[seen.frame[mine]] = logit[mine] >= cut
         judged = np.zeros(fires.shape[1], dtype=bool)
         judged[seen.frame[mine]] = True
         device = [vote.update(np.array([[1, 2]]), hit[f : f + 1])[0] for f in range(len(hit))]
-        assert np.array_equal(fires[scene], np.array(device) & judged)
+        assert np.array_equal(fires[pair], np.array(device) & judged)
 
 
-def test_thinning_keeps_few_rows_of_each_scene():
-    scene = np.repeat(np.arange(5), [1, 30, 4, 100, 12])
-    rows = fit.thin(scene, 12, seed=0)
-    assert np.bincount(scene[rows]).tolist() == [1, 12, 4, 12, 12]
+def test_thinning_keeps_few_rows_of_each_pair():
+    pair = np.repeat(np.arange(5), [1, 30, 4, 100, 12])
+    rows = fit.thin(pair, 12, seed=0)
+    assert np.bincount(pair[rows]).tolist() == [1, 12, 4, 12, 12]
     assert np.all(np.diff(rows) > 0)
 
 
 def test_the_exported_model_says_what_scikit_learn_says(seen):
     linear_model = pytest.importorskip("sklearn.linear_model")
     model = fit.fit(seen, seed=0)
-    rows = fit.thin(seen.scene, fit.ROWS_PER_SCENE, 0)
+    rows = fit.thin(seen.pair, fit.ROWS_PER_PAIR, 0)
     inner = linear_model.LogisticRegression(max_iter=5000, tol=1e-8)
     inner.fit(model.standardise(seen.features[rows]), seen.label[rows])
     expected = inner.predict_proba(model.standardise(seen.features))[:, 1]

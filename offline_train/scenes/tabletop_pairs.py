@@ -1,6 +1,6 @@
-"""True motion of pairs on a tabletop: uniform, rolling to rest, and a hand's committed moves.
+"""Pairs on a tabletop: uniform motion, rolling to rest, a hand's committed moves, or rest.
 
-Everything is drawn from one generator, so a seed is a data set. Distances in metres, planar.
+What the shipped linear trigger learns from. Distances in metres, planar. Source: ours.
 """
 
 from dataclasses import dataclass, fields
@@ -9,11 +9,12 @@ from typing import Tuple
 import numpy as np
 
 from apex_edge.types import Array
+from offline_train.scenes.truth import LOOK_AHEAD_S, Truth, first_contact
 
-GENERATOR = "tabletop-pairs"
-GENERATOR_VERSION = 1
+NAME = "tabletop-pairs"
+VERSION = 1
 UNIFORM, ROLLING, HAND, STILL = 0, 1, 2, 3
-KIND_NAMES = ("uniform", "rolling", "hand", "still")
+KINDS = ("uniform", "rolling", "hand", "still")
 _KIND_SHARE = (0.35, 0.25, 0.28, 0.12)
 
 
@@ -45,8 +46,31 @@ class Scenes:
         return Scenes(**{spec.name: getattr(self, spec.name)[rows] for spec in fields(self)})
 
 
-def draw(rng: np.random.Generator, n: int) -> Scenes:
-    """Draw n scenes: 60 % aimed near the target (lateral miss up to 0.2 m), the rest anywhere."""
+def draw(rng: np.random.Generator, frame_s: Array, n_frames: int) -> Truth:
+    """Draw one pair per scene and follow it; ``frame_s (s,)`` is the time between frames."""
+    return follow(draw_scenes(rng, len(frame_s)), frame_s, n_frames)
+
+
+def follow(scenes: Scenes, frame_s: Array, n_frames: int) -> Truth:
+    """Return the paths of the scenes at their frame times, and their contacts."""
+    mover, target = place(scenes, np.arange(n_frames) * frame_s[:, None])
+    until_s = float(n_frames * frame_s.max()) + LOOK_AHEAD_S
+    contact = first_contact(lambda t_s: place(scenes, t_s), scenes.radius_m, until_s)
+    return Truth(
+        centre_m=target,
+        other_m=mover[:, None],
+        contact_s=contact[:, None],
+        radius_m=scenes.radius_m[:, None],
+        kind=scenes.kind[:, None],
+        frame_s=frame_s,
+    )
+
+
+def draw_scenes(rng: np.random.Generator, n: int) -> Scenes:
+    """Draw the laws of motion of n scenes.
+
+    60 % are aimed near the target (lateral miss up to 0.2 m), the rest anywhere.
+    """
     kind = rng.choice(4, size=n, p=_KIND_SHARE)
     distance = rng.uniform(0.06, 0.6, n)
     bearing = rng.uniform(-np.pi, np.pi, n)
@@ -102,16 +126,3 @@ def place(scenes: Scenes, t_s: Array) -> Tuple[Array, Array]:
     )
     target = scenes.target_m[:, None] + t_s[..., None] * scenes.target_vel_m_s[:, None]
     return mover, target
-
-
-def contact_time(scenes: Scenes, until_s: float, step_s: float = 0.01) -> Array:
-    """Return the first time (n,) of contact, found by stepping, inf when none by ``until_s``."""
-    times = np.arange(0.0, until_s + step_s, step_s)
-    found = np.full(len(scenes.kind), np.inf)
-    for first in range(0, len(times), 100):
-        chunk = np.broadcast_to(times[first : first + 100], (len(found), len(times[first:][:100])))
-        mover, target = place(scenes, chunk)
-        is_in = np.linalg.norm(mover - target, axis=2) <= scenes.radius_m[:, None]
-        hit = np.where(is_in.any(axis=1), chunk[0, np.argmax(is_in, axis=1)], np.inf)
-        found = np.minimum(found, hit)
-    return found
