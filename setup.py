@@ -141,7 +141,6 @@ setup(
         ],
         "apex_edge.trainings": [
             "fit = offline_train.verbs.fit",
-            "distill = offline_train.verbs.distill",
             "trigger = offline_train.verbs.trigger",
         ],
         "apex_edge.arm_actions": [

@@ -57,7 +57,7 @@ class Outcome:
     """A trained model and its scores on the validation split, both ways of evaluating."""
 
     fit: GraphFit
-    metrics: Dict[str, Dict[str, float]]
+    metrics: Dict[str, Dict[str, Optional[float]]]
 
 
 def paper_graphs(stars: StarSet, quirks: Quirks) -> Graphs:
@@ -114,14 +114,14 @@ def fires_as_released(logit: Array) -> Array:
     return fires
 
 
-def rates(fires: Array, labels: Array) -> Dict[str, float]:
-    """Return accuracy, recall, precision (NaN where nothing counts) of edges (m,)."""
+def rates(fires: Array, labels: Array) -> Dict[str, Optional[float]]:
+    """Return accuracy, recall, precision (None where nothing counts) of edges (m,)."""
     is_true = labels > 0.5
     n_hits, n_fires, n_true = (float(np.sum(x)) for x in (fires & is_true, fires, is_true))
     return {
         "accuracy": float(np.mean(fires == is_true)),
-        "recall": n_hits / n_true if n_true else float("nan"),
-        "precision": n_hits / n_fires if n_fires else float("nan"),
+        "recall": n_hits / n_true if n_true else None,
+        "precision": n_hits / n_fires if n_fires else None,
     }
 
 
