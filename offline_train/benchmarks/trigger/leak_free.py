@@ -64,7 +64,9 @@ def linear_scores(train: star.StarSet, test: star.StarSet) -> Dict[str, Array]:
     paper = linear_student(star.paper_edges(train).reshape(-1, 3), star.EDGE_NAMES, label)
     return {
         "linear": pair.logit(star.pair_features(test)),
-        f"linear on {len(plain)} of them, none in sd": bare.logit(star.pair_features(test)[:, plain]),
+        f"linear on {len(plain)} of them, none in sd": bare.logit(
+            star.pair_features(test)[:, plain]
+        ),
         "linear on the paper's 3 edge features": paper.logit(star.paper_edges(test).reshape(-1, 3)),
     }
 
