@@ -104,6 +104,7 @@ setup(
         "apex_edge.triggers": [
             "analytic = apex_edge.triggers.analytic:AnalyticTrigger",
             "linear = apex_edge.triggers.linear:LinearTrigger",
+            "graph = apex_edge.triggers.graph_trigger:GraphTrigger",
         ],
         "apex_edge.simulators": [
             "kernel = apex_edge.simulate.kernel:KernelSim",
@@ -138,10 +139,15 @@ setup(
         ],
         "apex_edge.scenarios": [
             "tabletop-pairs = offline_train.scenes.tabletop_pairs",
+            "tabletop-cv = offline_train.scenes.tabletop_cv",
+            "committed = offline_train.scenes.committed",
         ],
         "apex_edge.trainings": [
             "fit = offline_train.verbs.fit",
             "trigger = offline_train.verbs.trigger",
+            "evaluate = offline_train.verbs.evaluate",
+            "export = offline_train.verbs.export",
+            "verify = offline_train.verbs.verify",
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",

@@ -13,7 +13,13 @@ from typing import Dict, Optional, Tuple, Union
 import numpy as np
 
 from apex_edge.config import setting
-from apex_edge.triggers.approach import Approach, Pairs, closest, early_contact, miss_sd
+from apex_edge.triggers.approach import (
+    Approach,
+    Pairs,
+    closest,
+    early_contact,
+    first_contact,
+)
 from apex_edge.types import Array, DifferenceGraph, HazardScores, Tracks
 
 # The table is a plane; heights are the least certain part of a depth camera.
@@ -49,14 +55,14 @@ class Evidence:
     """What is known of m pairs: who, geometry, noise, and how much was seen.
 
     ``mover_id``, ``target_id (m,)`` say which pairs share a mover or a target in this frame;
-    ``sigma_m (m,)`` sd of the miss distance, ``early_s (m,)`` pessimistic time to contact,
+    ``ttc_s``, ``early_s (m,)`` time to contact, as estimated and at the pessimistic end;
     ``is_moving (m,)`` of the mover, ``n_samples (m,)`` behind the younger of the two tracks,
     ``horizon_s`` scalar.
     """
 
     pairs: Pairs
     approach: Approach
-    sigma_m: Array
+    ttc_s: Array
     early_s: Array
     is_moving: Array
     n_samples: Array
@@ -72,18 +78,10 @@ class Evidence:
 
     def take(self, rows: Array) -> "Evidence":
         """Return the pairs chosen by a mask or by indices."""
-        found = self.approach
         return Evidence(
             pairs=self.pairs.take(rows),
-            approach=Approach(
-                found.dca_m[rows],
-                found.tca_s[rows],
-                found.ttc_s[rows],
-                found.at_end_m[rows],
-                found.drift_s[rows],
-                found.end_drift_s[rows],
-            ),
-            sigma_m=self.sigma_m[rows],
+            approach=self.approach.take(rows),
+            ttc_s=self.ttc_s[rows],
             early_s=self.early_s[rows],
             is_moving=self.is_moving[rows],
             n_samples=self.n_samples[rows],
@@ -188,9 +186,9 @@ class _Table:
         """Fill in the geometry of the pairs that move."""
         self.dca_m[rows] = evidence.approach.dca_m
         self.tca_s[rows] = evidence.approach.tca_s
-        self.ttc_s[rows] = evidence.approach.ttc_s
+        self.ttc_s[rows] = evidence.ttc_s
         self.early_s[rows] = evidence.early_s
-        self.sigma_m[rows] = evidence.sigma_m
+        self.sigma_m[rows] = evidence.approach.miss_sd_m
 
     def put_verdict(self, rows: Array, verdict: Verdict) -> None:
         """Fill in the judgement on the pairs that can touch."""
@@ -267,7 +265,7 @@ def weigh(
     return Evidence(
         pairs=pairs,
         approach=approach,
-        sigma_m=miss_sd(pairs, approach.drift_s),
+        ttc_s=first_contact(pairs, approach, horizon_s),
         early_s=early_contact(pairs, approach, horizon_s),
         is_moving=is_moving,
         n_samples=n_samples,

@@ -38,8 +38,10 @@ _NPY = re.compile(
     re.DOTALL,
 )
 # What the parts of the standard library raise on bytes that are no zip and no JSON.
-_UNREADABLE = (OSError, ValueError, RuntimeError, EOFError, IndexError, KeyError, OverflowError)
-_UNREADABLE += (struct.error, zipfile.BadZipFile)
+_UNREADABLE = (
+    *(OSError, ValueError, RuntimeError, EOFError, IndexError, KeyError, OverflowError),
+    *(struct.error, zipfile.BadZipFile),
+)
 
 
 def canonical_bytes(fields: Mapping[str, Any]) -> bytes:
@@ -69,7 +71,7 @@ def read(path: Union[str, Path]) -> Dict[str, Any]:
     """
     source = Path(path)
     try:
-        fields = _parsed(source.suffix, _bytes_of(source))
+        fields: Dict[str, Any] = _parsed(source.suffix, _bytes_of(source))
         found = check_identity(fields)
     except WeightsError as error:
         raise WeightsError(f"{source}: {error}") from error
@@ -115,13 +117,32 @@ def write(fields: Mapping[str, Any], path: Union[str, Path]) -> None:
     except (ValueError, TypeError) as error:
         raise WeightsError(f"{target}: not a document: {error}") from error
     plain["sha256"] = digest(plain)
-    if target.suffix == ".json":
-        data = (json.dumps(plain, indent=1, sort_keys=True) + "\n").encode("ascii")
-    elif target.suffix == ".npz":
-        data = _packed(plain)
-    else:
+    if target.suffix not in _FORMS:
         raise WeightsError(f"{target}: a model file ends in .json or .npz")
-    write_whole_bytes(target, data)
+    write_whole_bytes(target, _FORMS[target.suffix](plain))
+
+
+def as_json(fields: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a ``.json``; nothing is checked."""
+    return (json.dumps(fields, indent=1, sort_keys=True) + "\n").encode("ascii")
+
+
+def as_npz(fields: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a ``.npz``; only the reserved key is checked."""
+    arrays: Dict[str, Array] = {}
+    text = json.dumps(_taken_out(dict(fields), "", arrays), sort_keys=True, separators=(",", ":"))
+    arrays[_DOCUMENT] = np.frombuffer(text.encode("ascii"), dtype=np.uint8)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for name in sorted(arrays):
+            entry = io.BytesIO()
+            np.lib.format.write_array(entry, arrays[name], version=(1, 0), allow_pickle=False)
+            # ZipInfo's own date is 1980: no clock in the file.
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), entry.getvalue())
+    return buffer.getvalue()
+
+
+_FORMS = {".json": as_json, ".npz": as_npz}
 
 
 def _bytes_of(source: Path) -> bytes:
@@ -146,20 +167,6 @@ def _from_json(data: bytes) -> Any:
 
 def _refuse_constant(name: str) -> float:
     raise ValueError(f"{name} is not a number the format allows")
-
-
-def _packed(fields: Dict[str, Any]) -> bytes:
-    arrays: Dict[str, Array] = {}
-    text = json.dumps(_taken_out(fields, "", arrays), sort_keys=True, separators=(",", ":"))
-    arrays[_DOCUMENT] = np.frombuffer(text.encode("ascii"), dtype=np.uint8)
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
-        for name in sorted(arrays):
-            entry = io.BytesIO()
-            np.lib.format.write_array(entry, arrays[name], version=(1, 0), allow_pickle=False)
-            # ZipInfo's own date is 1980: no clock in the file.
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), entry.getvalue())
-    return buffer.getvalue()
 
 
 def _taken_out(value: Any, name: str, arrays: Dict[str, Array]) -> Any:
@@ -234,7 +241,8 @@ def _array(data: bytes, name: str) -> Array:
     body = data[head.end() :]
     if _count(shape) * kind.itemsize != len(body):
         raise WeightsError(f"{name!r} has {len(body)} bytes, which is not its shape {shape}")
-    return np.frombuffer(body, dtype=kind).reshape(shape)
+    array: Array = np.frombuffer(body, dtype=kind).reshape(shape)
+    return array
 
 
 def _count(shape: Tuple[int, ...]) -> int:

@@ -5,23 +5,23 @@ features and the logits they must give, so a change of the feature code is found
 damaged weight. Source: ours; the paper names no file format.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Tuple, Union
+from typing import Any, Dict, FrozenSet, List, Mapping, Set, Tuple, Union
 
 import numpy as np
 
 from apex_edge.errors import WeightsError
 from apex_edge.triggers import model_file
-from apex_edge.triggers.approach import Approach, Pairs, closest
-from apex_edge.triggers.features import (
-    FEATURE_NAMES,
-    FEATURE_SET,
-    FEATURE_UNITS,
-    FEATURE_VERSION,
-    edge_features,
-)
+from apex_edge.triggers.approach import Pairs, closest
 from apex_edge.triggers.graph_net import GraphNet, GraphSpec
+from apex_edge.triggers.models import (
+    FEATURE_SETS,
+    Columns,
+    FeatureSet,
+    GraphWeights,
+    LinearWeights,
+    Model,
+)
 from apex_edge.triggers.stars import NODE_NAMES, stars
 from apex_edge.types import Array
 
@@ -43,119 +43,18 @@ _SPEC_KEYS = frozenset(GraphSpec.__dataclass_fields__)
 _CERTIFICATE = ("logit", "alpha", "confidence", "lead_s", "n_pos", "k")
 
 
-class FeatureSet(NamedTuple):
-    """A named set of pair features, and how they are computed from (pairs, approach, horizon)."""
-
-    name: str
-    version: int
-    names: Tuple[str, ...]
-    units: Tuple[str, ...]
-    compute: Callable[[Pairs, Approach, float], Array]
-
-
-FEATURE_SETS = {
-    FEATURE_SET: FeatureSet(
-        FEATURE_SET, FEATURE_VERSION, FEATURE_NAMES, FEATURE_UNITS, edge_features
-    )
+# Shape of each column of Pairs, per pair.
+_PAIR_SHAPES: Dict[str, Tuple[int, ...]] = {
+    "offset_m": (2,),
+    "mover_vel_m_s": (2,),
+    "target_vel_m_s": (2,),
+    "decel_m_s2": (),
+    "radius_m": (),
+    "cov": (4, 4),
 }
 
 
-@dataclass(frozen=True)
-class Columns:
-    """Clip and standardise: ``(clip(x, lo, hi) - mean) / scale``; arrays (k,)."""
-
-    lo: Array
-    hi: Array
-    mean: Array
-    scale: Array
-
-    def clipped(self, values: Array) -> Array:
-        """Return the values (m, k) within ``lo`` and ``hi``; NaN stays NaN."""
-        # np.clip takes three times as long on a few rows.
-        limited: Array = np.minimum(np.maximum(values, self.lo), self.hi)
-        return limited
-
-    def __call__(self, values: Array) -> Array:
-        """Return the standardised values (m, k)."""
-        standard: Array = (self.clipped(values) - self.mean) / self.scale
-        return standard
-
-
-@dataclass(frozen=True)
-class TriggerModel:
-    """What every trained model has; ``columns`` are those of ``feature_set``.
-
-    ``threshold`` is a logit; NaN when nothing has certified one yet, and then nothing fires.
-    ``domain`` maps a feature, or ``radius_m``, to the range the training covered;
-    ``training_range`` maps every feature to the range seen in training; ``min_samples`` is the
-    shortest window trained on. ``certificate`` and ``gate`` say what recall was certified, and
-    under which gate and vote. ``platt`` (a, b): the probability is sigmoid(a * logit + b).
-    """
-
-    feature_set: FeatureSet
-    horizon_s: float
-    columns: Columns
-    threshold: float
-    domain: Dict[str, Tuple[float, float]]
-    training_range: Dict[str, Tuple[float, float]]
-    min_samples: int
-    certificate: Dict[str, Any]
-    gate: Dict[str, Any]
-    platt: Tuple[float, float]
-
-    def is_in_domain(self, features: Array, radius_m: Array, n_samples: Array) -> Array:
-        """Say which pairs (m,) lie inside what the training covered."""
-        inside = n_samples >= self.min_samples
-        names = self.feature_set.names
-        for name, (low, high) in self.domain.items():
-            column = radius_m if name == "radius_m" else features[:, names.index(name)]
-            inside = inside & (column >= low) & (column <= high)
-        result: Array = inside
-        return result
-
-    def probability(self, logit: Array) -> Array:
-        """Return the calibrated probability (m,) of contact."""
-        slope, offset = self.platt
-        chance: Array = 0.5 * (1.0 + np.tanh(0.5 * (slope * logit + offset)))
-        return chance
-
-
-@dataclass(frozen=True)
-class LinearWeights(TriggerModel):
-    """A linear model: ``logit = columns(x) @ weight + bias``; ``weight (k,)``."""
-
-    weight: Array
-    bias: float
-
-    def logit(self, features: Array) -> Array:
-        """Return the logit (m,) of features (m, k)."""
-        result: Array = self.columns(features) @ self.weight + self.bias
-        return result
-
-
-@dataclass(frozen=True)
-class GraphWeights(TriggerModel):
-    """A graph net over stars; ``node_columns`` are those of ``net.spec.node_names``."""
-
-    net: GraphNet
-    node_columns: Columns
-
-    def logit(self, features: Array, pairs: Pairs, mover: Array) -> Array:
-        """Return the logit (m,) of the pairs of one frame, all stars in one batch.
-
-        Parameters
-        ----------
-        features : (m, k) of the pairs.
-        pairs : m pairs.
-        mover : (m,) identity of each pair's mover.
-        """
-        found = stars(pairs, mover)
-        wanted = [NODE_NAMES.index(name) for name in self.net.spec.node_names]
-        nodes = self.node_columns(found.nodes[:, wanted])
-        return self.net.logits(nodes, found.edges, self.columns(features))
-
-
-def load(path: Union[str, Path]) -> Union[LinearWeights, GraphWeights]:
+def load(path: Union[str, Path]) -> Model:
     """Read, check and replay a model file that is ready for use.
 
     Raises
@@ -188,41 +87,49 @@ def load_graph(path: Union[str, Path]) -> GraphWeights:
     return model
 
 
-def check(fields: Any, where: str) -> Union[LinearWeights, GraphWeights]:
-    """Build and replay the model of a document; its threshold may still be null.
+def check(fields: Any, where: str) -> Model:
+    """Build the model of a document and replay its golden vectors; no threshold is needed.
 
-    Format, version and hash are for ``model_file.read``.
+    The hash is for ``model_file.read``.
 
     Raises
     ------
     WeightsError : see ``load``.
     """
+    return _guarded(fields, where, is_replayed=True)
+
+
+def build(fields: Any, where: str) -> Model:
+    """Build the model of a document that has no golden vectors yet; else as ``check``."""
+    return _guarded(fields, where, is_replayed=False)
+
+
+def _guarded(fields: Any, where: str, is_replayed: bool) -> Model:
     try:
         model_file.check_identity(fields)
         with np.errstate(all="ignore"):
-            return _built(fields)
+            model = _built(fields)
+            if is_replayed:
+                _check_golden(model, fields["golden"])
+            return model
     except KeyError as error:
         raise WeightsError(f"{where}: {error} is missing") from error
-    except (WeightsError, TypeError, ValueError, IndexError, OverflowError) as error:
+    except (WeightsError, ValueError, OverflowError) as error:
         raise WeightsError(f"{where}: {error}") from error
-    except (AttributeError, RecursionError) as error:
+    except (TypeError, AttributeError, IndexError, RecursionError) as error:
         raise WeightsError(f"{where}: a field has the wrong type: {error}") from error
 
 
-def _built(fields: Dict[str, Any]) -> Union[LinearWeights, GraphWeights]:
+def _built(fields: Dict[str, Any]) -> Model:
     kind = fields.get("kind")
     _need(isinstance(kind, str) and kind in _OF_KIND, f"kind is {kind!r}, expected linear or graph")
     _same_keys(set(fields) - _OPTIONAL, _COMMON | _OF_KIND[str(kind)], "the document")
     features = _feature_set(fields)
     common: Dict[str, Any] = dict(_common(fields, features))
-    model: Union[LinearWeights, GraphWeights]
-    if kind == "linear":
-        weight = _row(fields["weights"], len(features.names), "weights")
-        model = LinearWeights(**common, weight=weight, bias=_number(fields["bias"], "bias"))
-    else:
-        model = _graph(fields["graph"], features, common)
-    _check_golden(model, fields["golden"])
-    return model
+    if kind == "graph":
+        return _graph(fields["graph"], features, common)
+    weight = _row(fields["weights"], len(features.names), "weights")
+    return LinearWeights(**common, weight=weight, bias=_number(fields["bias"], "bias"))
 
 
 def _feature_set(fields: Dict[str, Any]) -> FeatureSet:
@@ -308,7 +215,7 @@ def _columns(value: Dict[str, Any], n: int, name: str) -> Columns:
     return Columns(**rows)
 
 
-def _ranges(value: Dict[str, Any], known: set, name: str) -> Dict[str, Tuple[float, float]]:
+def _ranges(value: Dict[str, Any], known: Set[str], name: str) -> Dict[str, Tuple[float, float]]:
     unknown = sorted(set(value) - known)
     _need(not unknown, f"{name} names unknown features {unknown}")
     ranges = {key: (_number(low, name), _number(high, name)) for key, (low, high) in value.items()}
@@ -336,7 +243,7 @@ def _whole(value: Any, name: str) -> int:
     return int(value)
 
 
-def _same_keys(found: set, expected: FrozenSet[str], name: str) -> None:
+def _same_keys(found: Set[str], expected: FrozenSet[str], name: str) -> None:
     missing, unknown = sorted(expected - found), sorted(found - expected)
     _need(not missing and not unknown, f"{name}: missing keys {missing}, unknown keys {unknown}")
 
@@ -346,7 +253,7 @@ def _need(is_right: bool, message: str) -> None:
         raise WeightsError(message)
 
 
-def _check_golden(model: Union[LinearWeights, GraphWeights], golden: List[Any]) -> None:
+def _check_golden(model: Model, golden: List[Any]) -> None:
     low, high = _N_GOLDEN
     _need(
         isinstance(golden, list) and low <= len(golden) <= high,
@@ -366,21 +273,18 @@ def _check_golden(model: Union[LinearWeights, GraphWeights], golden: List[Any]) 
             )
 
 
-def replay(
-    model: Union[LinearWeights, GraphWeights], case: Mapping[str, Any]
-) -> Dict[str, Array]:
+def replay(model: Model, case: Mapping[str, Any]) -> Dict[str, Array]:
     """Return what the raw pairs of a golden vector give now.
 
     A case has the columns of ``Pairs`` (m pairs of one frame), ``mover (m,)`` identities and
     ``horizon_s``, and what must come out: ``features (m, k)``, ``logit (m,)``, and for a graph
     ``nodes (N, F)`` and ``edges (2, m)`` of its stars, not yet standardised.
     """
-    columns = {name: np.array(case[name], dtype=np.float64) for name in _PAIR_COLUMNS}
+    columns = {name: np.array(case[name], dtype=np.float64) for name in _PAIR_SHAPES}
+    n = len(case["radius_m"])
+    for name, shape in _PAIR_SHAPES.items():
+        _need(n > 0 and columns[name].shape == (n, *shape), f"golden {name} has a wrong shape")
     pairs = Pairs(**columns)
-    n = len(pairs.radius_m)
-    shapes = dict(zip(_PAIR_COLUMNS, ((n, 2), (n, 2), (n, 2), (n,), (n,), (n, 4, 4))))
-    for name, shape in shapes.items():
-        _need(columns[name].shape == shape, f"golden {name} has a wrong shape")
     horizon_s = _number(case["horizon_s"], "golden horizon_s")
     features = model.feature_set.compute(pairs, closest(pairs, horizon_s), horizon_s)
     if isinstance(model, LinearWeights):
@@ -394,6 +298,3 @@ def replay(
         "edges": found.edges,
         "logit": model.logit(features, pairs, mover),
     }
-
-
-_PAIR_COLUMNS = tuple(Pairs.__dataclass_fields__)

@@ -26,6 +26,10 @@ _CAVEATS = (
     "The trigger warns. It is no safety function in the sense of a standard; limits and the "
     "emergency stop of the arm hold without it.",
 )
+_LICENCE = (
+    "Apache-2.0, as the project it belongs to. It was trained on generated scenes only; there is "
+    "no personal data in it."
+)
 
 
 class Tested(NamedTuple):
@@ -62,8 +66,7 @@ def card(fields: Mapping[str, Any], stem: str, tests: List[Tested]) -> Dict[str,
         "## Where it holds\n\n" + _domain(fields),
         "## Cost\n\n" + _cost(fields),
         "## Caveats\n\n" + "\n".join(f"- {text}" for text in _CAVEATS),
-        "## Licence\n\nApache-2.0, as the project it belongs to. It was trained on generated scenes "
-        "only; there is no personal data in it.",
+        "## Licence\n\n" + _LICENCE,
     ]
     files[f"{stem}.md"] = "\n\n".join(parts) + "\n"
     return files
@@ -110,13 +113,13 @@ _ALT = {
 
 
 def _what(fields: Mapping[str, Any]) -> str:
-    windows = ", ".join(str(n) for n in fields["windows"])
+    joint = " to " if len(fields["windows"]) == 2 else ", "
+    windows = joint.join(str(n) for n in fields["windows"])
     return (
         f"Says of two tracked objects whether they will touch within {fields['horizon_s']:g} s: "
         f"{_KINDS[fields['kind']]}. It is read by `apex run` on the device, which checks its hash "
         "and replays its golden vectors first.\n\n"
-        + tables.markdown(
-            ("", ""),
+        + tables.of_text(
             [
                 ("kind", fields["kind"]),
                 ("features", f"{fields['feature_set']}, version {fields['feature_version']}"),
@@ -152,10 +155,10 @@ def _certificate(fields: Mapping[str, Any]) -> str:
     )
     gate = ", ".join(f"{key} = {value:g}" for key, value in sorted(fields["gate"].items()))
     return (
-        f"With {promise['confidence']:.0%} confidence the model announces at least "
-        f"{1.0 - promise['alpha']:.1%} of events {promise['lead_s']:.1f} s or more before contact. "
-        f"The threshold (logit {promise['logit']:.4g}) is the {_th(promise['k'])} smallest of "
-        f"{promise['n_pos']} scores, one per event of scenes that the fit has not seen.{late}\n\n"
+        f"With {tables.share(promise['confidence'])} confidence the model announces at least "
+        f"{tables.share(1.0 - promise['alpha'])} of events {promise['lead_s']:.1f} s or more "
+        f"before contact. The threshold (logit {promise['logit']:.4g}) is the {_th(promise['k'])} smallest "
+        f"of {promise['n_pos']} scores, one per event of scenes that the fit has not seen.{late}\n\n"
         "The promise needs no assumption on how scores are distributed, but it is one on the whole "
         "procedure: of twenty such files, one may fall short. It is void where objects, people or "
         "noise differ from the scenes it was certified on; certify anew on recordings of your own "
@@ -179,11 +182,11 @@ def _domain(fields: Mapping[str, Any]) -> str:
     noise = fields["noise_model"]
     return (
         tables.markdown(("input", "from", "to", "unit"), rows)
-        + f"\n\nPosition noise: {noise['kind']}, {_range(noise['sd_m'], 'm')}. Outside these ranges, "
-        "with a track younger than the shortest window, or with another horizon, the device does "
-        "not ask the model: the k-sigma rule judges (it fires when the closest approach lies "
-        "within the combined radius plus k standard deviations of the miss), and the result is "
-        "flagged as fallback. The certificate does not cover it."
+        + f"\n\nPosition noise: {noise['kind']}, {_range(noise['sd_m'], 'm')}. Outside these "
+        "ranges, with a track younger than the shortest window, or with another horizon, the "
+        "device does not ask the model: the k-sigma rule judges (it fires when the closest "
+        "approach lies within the combined radius plus k standard deviations of the miss), and "
+        "the result is flagged as fallback. The certificate does not cover it."
     )
 
 
@@ -225,4 +228,5 @@ def _range(ends: Any, unit: str) -> str:
 
 def _th(rank: int) -> str:
     last = rank % 10 if rank % 100 not in (11, 12, 13) else 0
-    return f"{rank}{ {1: 'st', 2: 'nd', 3: 'rd'}.get(last, 'th') }"
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(last, "th")
+    return f"{rank}{ending}"

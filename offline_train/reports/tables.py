@@ -25,6 +25,11 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
+def of_text(rows: Sequence[Sequence[str]]) -> str:
+    """Return a markdown table of names and texts, without a head."""
+    return "\n".join(["| | |", "|---|---|"] + ["| " + " | ".join(row) + " |" for row in rows])
+
+
 def share(value: Optional[float]) -> str:
     """Return a share in percent; a dash where there is none."""
     return "-" if value is None else f"{100.0 * value:.1f} %"

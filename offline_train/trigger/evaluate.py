@@ -113,6 +113,15 @@ def alarms(seen: Observed, fires: Array, testing: Testing) -> Dict[str, Any]:
     }
 
 
+def summary(evaluation: Mapping[str, Any]) -> Dict[str, Any]:
+    """Return an evaluation without its curves against lead time, as a model document keeps it."""
+    rules = {
+        name: {key: value for key, value in found.items() if key != "leads"}
+        for name, found in evaluation["rules"].items()
+    }
+    return dict(evaluation, rules=rules)
+
+
 def curves(seen: Observed, rated: Mapping[str, Rated]) -> Dict[str, Any]:
     """Return per rule the points of ``pr``, ``roc`` and, with a probability, ``reliability``."""
     rows = thin(seen.pair, ROWS_PER_PAIR, 0)
