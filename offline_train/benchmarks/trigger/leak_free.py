@@ -11,6 +11,7 @@ from typing import Callable, Dict, List, Tuple
 
 import numpy as np
 
+from apex_edge.triggers.approach import closest
 from apex_edge.triggers.features import FEATURE_NAMES
 from apex_edge.triggers.graph_net import ARCHITECTURES, GRAPHORMER, GraphSpec
 from apex_edge.types import Array
