@@ -13,6 +13,7 @@ from typing import Tuple
 import numpy as np
 
 from apex_edge.triggers.approach import Pairs, closest
+from apex_edge.triggers.features import edge_features
 from apex_edge.types import Array
 from offline_train.trigger.seeds import rng
 
@@ -118,6 +119,15 @@ def star_pairs(stars: StarSet) -> Pairs:
         radius_m=np.full(n_edges, RADIUS),
         cov=np.zeros((n_edges, 6, 6)),
     )
+
+
+def pair_features(stars: StarSet) -> Array:
+    """Return the device's pair features (g * (n - 1), k) of the edges, in three dimensions.
+
+    The states are exact (zero covariance), so z and reach are as good as signs: the answer itself.
+    """
+    pairs = star_pairs(stars)
+    return edge_features(pairs, closest(pairs, HORIZON_S), HORIZON_S)
 
 
 def paper_edges(stars: StarSet, is_raw_displacement: bool = False) -> Array:
