@@ -47,8 +47,8 @@ class DataError(InputError):
 class Description:
     """What a folder holds.
 
-    ``kind`` "watched" (``Observed`` rows of a scenario) or "stars" (a ``StarSet``: exact graphs that
-    nobody watches); ``scenario`` and its ``version``; ``purpose``, ``seed``, ``n_scenes`` drawn;
+    ``kind`` "watched" (``Observed`` rows of a scenario) or "stars" (a ``StarSet`` of exact graphs
+    that nobody watches); ``scenario`` and its ``version``; ``purpose``, ``seed``, ``n_scenes``;
     ``watching`` None for stars; ``only_contacts`` scenes without any contact were dropped;
     ``features`` names and versions what the rows hold.
     """
