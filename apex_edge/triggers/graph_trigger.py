@@ -37,5 +37,9 @@ class GraphTrigger(LearntTrigger):
         super().__init__(config, self.weights, self.weights_path.name)
 
     def logit(self, evidence: Evidence, features: Array) -> Array:
-        """Return the logit (m,) of m pairs, the stars of all movers in one batch."""
+        """Return the logit (m,) of m pairs, the stars of all movers in one batch.
+
+        A star holds the pairs that are judged: those that can touch. A bidirectional net, in which
+        targets hear of each other, must be trained on the same.
+        """
         return self.weights.logit(features, evidence.pairs, evidence.mover_id)

@@ -1,13 +1,19 @@
+import dataclasses
 import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from apex_edge import cli
 from apex_edge.triggers import model_file, weights
+from apex_edge.triggers.base import TriggerConfig
+from apex_edge.triggers.graph_net import layer_shapes
+from apex_edge.triggers.models import Columns
 from offline_train.benchmarks.trigger import damages, files
 from offline_train.trigger import export, golden
+from offline_train.trigger.calibrate import Promise, Threshold
 
 SHIPPED = model_file.read(weights.SHIPPED)
 
@@ -64,6 +70,38 @@ def test_golden_vectors_hold_single_pairs_a_star_and_two_stars_at_once():
     for case, shipped in zip(found, SHIPPED["golden"]):
         assert case["offset_m"] == shipped["offset_m"]
         assert case["logit"] == pytest.approx(shipped["logit"], abs=1e-9)
+
+
+@pytest.mark.parametrize("architecture", ["diffgraphormer", "diffgat", "diffgcn"])
+def test_a_graph_net_with_a_platt_line_goes_through_the_export_to_the_device(
+    architecture, tmp_path
+):
+    pytest.importorskip("sklearn")
+    made = weights.check(damages.made_graph(SHIPPED, 4), "made")
+    spec = dataclasses.replace(
+        made.net.spec,
+        architecture=architecture,
+        edge_mode="full" if architecture == "diffgraphormer" else "none",
+        edge_names=made.net.spec.edge_names if architecture == "diffgraphormer" else (),
+        node_names=("radius", "vx", "is_mover"),
+    )
+    rng = np.random.default_rng(0)
+    layers = {name: rng.normal(size=shape) for name, shape in layer_shapes(spec).items()}
+    nodes = Columns(np.full(3, -1.0), np.ones(3), np.zeros(3), np.full(3, 0.1))
+    low, high = made.columns.lo - 1.0, made.columns.hi + 1.0
+    keys = export.graph_keys(spec, layers, nodes)
+    trained = export.Trained(keys, made.feature_set, made.columns, low, high)
+    notes = {"radius_m": [0.01, 0.1], "seed": 0, "metrics": {}, "platt": {"a": 0.5, "b": 1.0}}
+    common = (Promise(), TriggerConfig(), notes)
+    certified = export.document(trained, Threshold(0.25, 1, 299, 400), *common)
+    export.write(certified, tmp_path / "graph.npz")
+    model = weights.load_graph(tmp_path / "graph.npz")
+    assert model.threshold == 0.25 and model.platt == (0.5, 1.0)
+    for name, array in layers.items():
+        assert np.array_equal(model.net.layers[name], array)
+    export.write(export.document(trained, None, *common), tmp_path / "fresh.npz")
+    with pytest.raises(weights.WeightsError, match="calibrate"):
+        weights.load(tmp_path / "fresh.npz")
 
 
 def test_an_export_the_device_would_refuse_is_not_written(tmp_path):
