@@ -362,5 +362,7 @@ def _as_tracks(look: _Look, rows: _Rows) -> Tuple[Tracks, Array]:
         is_manoeuvre=np.zeros(n, dtype=bool),
         is_blurred=np.zeros(n, dtype=bool),
         smooth_m=position,
+        seen_m=np.full((n, 3), np.nan),
+        seen_sd_m=np.full(n, np.nan),
     )
     return tracks, truth.frame_s[owner]
