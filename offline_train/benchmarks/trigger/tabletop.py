@@ -1,9 +1,9 @@
 """Uniform motion on the tabletop at 3 mm and 20 Hz: what the length of the window buys.
 
-Each pair is judged once. All figures are over ALL pairs not yet in contact, moving or not. The goals
-are about the classifier alone, so that it gets no credit for what the device's gate drops: at 15
-frames the gate alone leaves fewer false alarms than the goal. Notes say what the device does behind
-its gate, where a dropped pair has the lowest score, for it can never fire. Source: ours.
+Each pair is judged once. All figures are over ALL pairs not yet in contact, moving or not. The
+goals are about the classifier alone, so that it gets no credit for what the device's gate drops: at
+15 frames the gate alone leaves fewer false alarms than the goal. Notes say what the device does
+behind its gate, where a dropped pair has the lowest score, for it can never fire. Source: ours.
 """
 
 from dataclasses import dataclass
@@ -110,9 +110,7 @@ def _behind_gate(setting: Setting, model: LinearFit, seen: Observed) -> List[Lin
     ]
 
 
-def _calibration(
-    setting: Setting, brier: float, model: LinearFit, seen: Observed
-) -> List[Line]:
+def _calibration(setting: Setting, brier: float, model: LinearFit, seen: Observed) -> List[Line]:
     probability = 0.5 * (1.0 + np.tanh(0.5 * model.logit(seen.features)))
     found = metrics.probability_figures(seen.label, probability)
     return [
