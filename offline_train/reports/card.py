@@ -157,12 +157,13 @@ def _certificate(fields: Mapping[str, Any]) -> str:
     return (
         f"With {tables.share(promise['confidence'])} confidence the model announces at least "
         f"{tables.share(1.0 - promise['alpha'])} of events {promise['lead_s']:.1f} s or more "
-        f"before contact. The threshold (logit {promise['logit']:.4g}) is the {_th(promise['k'])} smallest "
-        f"of {promise['n_pos']} scores, one per event of scenes that the fit has not seen.{late}\n\n"
-        "The promise needs no assumption on how scores are distributed, but it is one on the whole "
-        "procedure: of twenty such files, one may fall short. It is void where objects, people or "
-        "noise differ from the scenes it was certified on; certify anew on recordings of your own "
-        f"table then. It holds under this gate and vote only: {gate}."
+        f"before contact. The threshold (logit {promise['logit']:.4g}) is the "
+        f"{_th(promise['k'])} smallest of {promise['n_pos']} scores, one per event of scenes that "
+        f"the fit has not seen.{late}\n\n"
+        "The promise needs no assumption on how scores are distributed, but it is one on the "
+        "whole procedure: of twenty such files, one may fall short. It is void where objects, "
+        "people or noise differ from the scenes it was certified on; certify anew on recordings "
+        f"of your own table then. It holds under this gate and vote only: {gate}."
     )
 
 

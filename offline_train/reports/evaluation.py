@@ -89,8 +89,8 @@ def terms(models: Mapping[str, Model]) -> Tuple[TriggerConfig, float]:
 
 def probability(document: Mapping[str, Any], logit: Array) -> Array:
     """Return the calibrated probability (r,) that a model states."""
-    slope, offset = document.get("platt") or (1.0, 0.0)
-    said: Array = 0.5 * (1.0 + np.tanh(0.5 * (slope * logit + offset)))
+    platt = document.get("platt", {"a": 1.0, "b": 0.0})
+    said: Array = 0.5 * (1.0 + np.tanh(0.5 * (platt["a"] * logit + platt["b"])))
     return said
 
 
