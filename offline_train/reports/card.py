@@ -75,7 +75,9 @@ def card(fields: Mapping[str, Any], stem: str, tests: List[Tested]) -> Dict[str,
 def section(test: Tested, pictures: Mapping[str, str]) -> str:
     """Return tables and plots of one test set; ``pictures`` maps a kind of plot to its file."""
     found = test.evaluation
+    origin = ", ".join(f"{key.replace('_', ' ')} {v}" for key, v in found.get("origin", {}).items())
     text = [
+        f"Drawn as: {origin}." if origin else "",
         f"{found['n_scenes']} scenes with {found['n_tracks']} tracks, none of which a model has "
         f"learnt from. {found['n_contacts']} contacts could be watched up to "
         f"{found['lead_s']:.1f} s before; in {found['n_events']} of them "

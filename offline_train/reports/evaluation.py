@@ -31,11 +31,12 @@ class Model(NamedTuple):
 
 
 class Data(NamedTuple):
-    """A named test set and the names of its kinds of motion."""
+    """A named test set, the names of its kinds of motion, and where it comes from."""
 
     name: str
     seen: Observed
     kinds: Tuple[str, ...]
+    origin: Mapping[str, Any] = {}
 
 
 def examine(data: Data, models: Mapping[str, Model], inputs: Callable[[Observed], Array]) -> Tested:
@@ -63,7 +64,10 @@ def examine(data: Data, models: Mapping[str, Model], inputs: Callable[[Observed]
         rated[name] = Rated(logit, threshold, probability(model.fields, logit))
     rated.update(beside(data.seen, inputs(data.seen), _CEILING_SEED))
     testing = Testing(config, lead_s, data.kinds, next(iter(models)))
-    return Tested(data.name, evaluate(data.seen, rated, testing), points_of(data.seen, rated))
+    found = evaluate(data.seen, rated, testing)
+    if data.origin:
+        found["origin"] = dict(data.origin)
+    return Tested(data.name, found, points_of(data.seen, rated))
 
 
 def terms(models: Mapping[str, Model]) -> Tuple[TriggerConfig, float]:
