@@ -161,7 +161,8 @@ def _common(fields: Dict[str, Any], features: FeatureSet) -> Dict[str, Any]:
     horizon_s = _number(fields["horizon_s"], "horizon_s")
     _need(horizon_s > 0.0, f"horizon_s must be positive, found {horizon_s}")
     _need(slope > 0.0, f"platt.a must be positive, found {slope}")
-    _need(isinstance(fields["gate"], dict), "gate must be a table")
+    for key in ("gate", "noise_model", "provenance", "metrics"):
+        _need(isinstance(fields[key], dict), f"{key} must be a table")
     return {
         "feature_set": features,
         "horizon_s": horizon_s,

@@ -75,6 +75,8 @@ OF_ANY: Dict[str, Tuple[Callable[[Fields], None], str]] = {
     "no threshold at all": (without(["threshold"]), "threshold"),
     "no golden vectors": (changed(["golden"], []), "golden"),
     "golden vectors left out": (without(["golden"]), "golden"),
+    "a gate that is a list": (changed(["gate"], []), "gate must be"),
+    "provenance that is text": (changed(["provenance"], "me"), "provenance must be"),
     "no provenance": (without(["provenance"]), "provenance"),
     "an unknown key": (changed(["comment"], "hi"), "comment"),
     "a falling Platt line": (changed(["platt"], {"a": -1.0, "b": 0.0}), "platt"),
