@@ -28,12 +28,12 @@ WATCHING = Watching(
 PROMISE = calibrate.Promise(alpha=0.05, confidence=0.95, lead_s=1.0)
 _LEADS_S = (0.2, 0.6, 1.0, 1.4, 2.0, 3.0)
 _VOTES = ((1, 1), (2, 3), (3, 5), (5, 8))
-# What a frame must exceed, what is kept of the sum from one frame to the next, where the sum ends.
-# The best of a grid on calibration seeds. It stays a rival on the bench: at a recall of .99 it costs
-# 12 to 27 % fewer negative frames than 3 of 5 (three ways of watching), but so does nearly a shorter
-# vote (2 of 3: 8 to 20 %), as both gain by firing earlier. Its start must fit the model: at -0.5
-# instead of -2 every frame behind the gate fires. And no white noise shows the lone outliers that a
-# vote is there for.
+# What a frame must exceed, what is kept of the sum from frame to frame, where the sum ends: the
+# best of a grid on calibration seeds. It stays a rival on the bench: at a recall of .99 it costs 12
+# to 27 % fewer negative frames than 3 of 5 (three ways of watching), but a shorter vote nearly does
+# so too (2 of 3: 8 to 20 %), as both gain by firing earlier. Its start must fit the model: with -0.5
+# in place of -2 every frame behind the gate fires. And white noise has none of the lone outliers
+# that a vote is there for.
 _LEAKY = (-2.0, 0.5, 5.0)
 
 
