@@ -31,8 +31,8 @@ _VOTES = ((1, 1), (2, 3), (3, 5), (5, 8))
 # What a frame must exceed, what is kept of the sum from frame to frame, where the sum ends: the
 # best of a grid on calibration seeds. It stays a rival on the bench: at a recall of .99 it costs 12
 # to 27 % fewer negative frames than 3 of 5 (three ways of watching), but a shorter vote nearly does
-# so too (2 of 3: 8 to 20 %), as both gain by firing earlier. Its start must fit the model: with -0.5
-# in place of -2 every frame behind the gate fires. And white noise has none of the lone outliers
+# so too (2 of 3: 8 to 20 %), as both gain by firing earlier. Its start must fit the model: at -0.5
+# instead of -2 every frame behind the gate fires. And white noise has none of the lone outliers
 # that a vote is there for.
 _LEAKY = (-2.0, 0.5, 5.0)
 
