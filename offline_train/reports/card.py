@@ -84,7 +84,8 @@ def section(test: Tested, pictures: Mapping[str, str]) -> str:
         f"({tables.share(found['eligible_share'])}) the mover was visible in time, and these are "
         f"the events. Frame figures are over {found['n_frames']} frames that pass the gate, "
         f"{tables.share(found['positive_share'])} of them dangerous. A rule without a threshold of "
-        "its own gets the one at which it announces as many events as the model.",
+        "its own gets the one at which it announces as many events of this very set as the model, "
+        "which flatters it a little: the model had to choose before.",
         tables.of_rules(found),
         tables.of_kinds(found),
         "Events announced, by the time before contact:",
