@@ -40,7 +40,7 @@ class TriggerConfig:
     """Settings of the trigger stage, ``[trigger]``."""
 
     type: str = setting("linear", "name of the trigger plug-in")
-    weights: str = setting("", "weights file of the linear trigger; empty = the shipped one")
+    weights: str = setting("", "model file of a trained trigger; empty = the shipped one")
     k_sigma: float = setting(1.0, "sd of miss distance the analytic rule adds to the radius", 0, 6)
     min_speed_m_s: float = setting(0.02, "m/s below which an object counts as at rest", 0.0, 1.0)
     # Measured on white noise, windows of 5 to 20 frames: with 3 sd a still track passes the gate

@@ -73,9 +73,11 @@ class LearntTrigger(Trigger):
         rule = k_sigma_rule(evidence, self.config.k_sigma)
         if not known.any():
             return Verdict(rule.probability, rule.is_hit, ~known)
-        # Rows with a NaN go through the net too; what comes out of them is not used.
+        # Rows with a NaN go through the net too; what comes out of them, or of those that share
+        # a star with them, is not used.
         with np.errstate(invalid="ignore", over="ignore"):
             logit = self.logit(evidence, features)
+        known = known & np.isfinite(logit)
         return Verdict(
             probability=np.where(known, model.probability(logit), rule.probability),
             is_hit=np.where(known, logit >= model.threshold, rule.is_hit),
