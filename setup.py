@@ -133,9 +133,12 @@ setup(
         ],
         "apex_edge.scenarios": [
             "tabletop-pairs = offline_train.scenes.tabletop_pairs",
+            "mujoco = offline_train.scenes.mujoco_table",
         ],
         "apex_edge.trainings": [
             "trigger = offline_train.verbs.trigger",
+            "calibrate = offline_train.verbs.calibrate",
+            "recalibrate = offline_train.verbs.recalibrate",
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",
