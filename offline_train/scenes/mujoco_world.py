@@ -2,7 +2,8 @@
 
 Balls roll with rolling friction, blocks slide with Coulomb friction, a flat finger on a spring
 pushes a block along a minimum-jerk line (a pointed one lets it slip off), a hand is a block held
-just over the table and moved the same way. Source: APEX section "Simulate" (MuJoCo as the physics); the table is ours.
+just over the table and moved the same way. Source: APEX section "Simulate" (MuJoCo as the physics);
+the table is ours.
 """
 
 import importlib
