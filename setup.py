@@ -104,6 +104,7 @@ setup(
         "apex_edge.triggers": [
             "analytic = apex_edge.triggers.analytic:AnalyticTrigger",
             "linear = apex_edge.triggers.linear:LinearTrigger",
+            "graph = apex_edge.triggers.graph_trigger:GraphTrigger",
         ],
         "apex_edge.simulators": [
             "kernel = apex_edge.simulate.kernel:KernelSim",
@@ -139,6 +140,7 @@ setup(
             "trigger = offline_train.verbs.trigger",
             "calibrate = offline_train.verbs.calibrate",
             "recalibrate = offline_train.verbs.recalibrate",
+            "verify = offline_train.verbs.verify",
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",

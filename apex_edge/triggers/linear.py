@@ -13,7 +13,7 @@ import numpy as np
 from apex_edge.triggers.analytic import k_sigma_rule
 from apex_edge.triggers.base import Evidence, Trigger, TriggerConfig, Verdict
 from apex_edge.triggers.features import edge_features
-from apex_edge.triggers.weights import SHIPPED, load
+from apex_edge.triggers.weights import SHIPPED, load_linear
 
 logger = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ class LinearTrigger(Trigger):
     ) -> None:
         super().__init__(config)
         self.weights_path = Path(weights_path or self.config.weights or SHIPPED)
-        self.weights = load(self.weights_path)
+        self.weights = load_linear(self.weights_path)
         gate = {key: getattr(self.config, key, None) for key in self.weights.gate}
         if gate != self.weights.gate:
             logger.warning(
@@ -58,7 +58,7 @@ class LinearTrigger(Trigger):
             known[:] = False
         logit = self.weights.logit(features)
         rule = k_sigma_rule(evidence, self.config.k_sigma)
-        probability = 0.5 * (1.0 + np.tanh(0.5 * logit))
+        probability = self.weights.probability(logit)
         return Verdict(
             probability=np.where(known, probability, rule.probability),
             is_hit=np.where(known, logit >= self.weights.threshold, rule.is_hit),
