@@ -19,6 +19,16 @@ from offline_train.trigger import estimate
 from offline_train.trigger.estimate import Fit, Sensing
 
 _CHUNK = 20000
+_ROW_WISE = (
+    "pair",
+    "frame",
+    "centre_moves",
+    "features",
+    "rule_probability",
+    "rule_hit",
+    "label",
+    "soft",
+)
 
 
 @dataclass(frozen=True)
@@ -28,6 +38,8 @@ class Watching:
     ``noise_m`` sd per axis (log-uniform), ``fps``, ``window`` frames of the motion fit,
     ``adaptive_share`` of the scenes whose fit looks for bends, ``misjudged`` range of the factor
     by which perception misjudges its own noise, ``n_frames`` watched, ``horizon_s`` of the label.
+    Without ``is_gated`` every pair is a row in every frame, as a study of the classifier alone
+    needs; the device judges only what passes its gate.
     """
 
     noise_m: Tuple[float, float] = (0.0005, 0.003)
@@ -37,6 +49,7 @@ class Watching:
     misjudged: Tuple[float, float] = (0.8, 1.25)
     n_frames: int = 150
     horizon_s: float = 5.0
+    is_gated: bool = True
 
 
 @dataclass(frozen=True)
@@ -90,6 +103,12 @@ class Observed:
         mover = np.where(self.centre_moves, 0, other)
         return np.column_stack([mover, other - mover])
 
+    def take(self, rows: Array) -> "Observed":
+        """Return only those rows, chosen by a mask or by indices; the pairs stay."""
+        arrays = self.to_arrays()
+        arrays.update({name: arrays[name][rows] for name in arrays if _is_row_wise(name)})
+        return Observed.from_arrays(arrays)
+
     def to_arrays(self) -> Dict[str, Array]:
         """Return everything as arrays by name, as a shard stores it."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "geometry"}
@@ -108,6 +127,10 @@ class Observed:
         geometry = Pairs(**{s.name: arrays["geometry." + s.name] for s in fields(Pairs)})
         plain = {f.name: arrays[f.name] for f in fields(cls) if f.name != "geometry"}
         return cls(geometry=geometry, **plain)
+
+
+def _is_row_wise(name: str) -> bool:
+    return name in _ROW_WISE or name.startswith("geometry.")
 
 
 class _Rows(NamedTuple):
@@ -248,11 +271,11 @@ def _judge_rows(
     """Run the device's code over rows of (scene, other body, frame); return those it judges."""
     tracks, frame_s = _as_tracks(truth, sensing, fits, rows)
     edges, is_moving = movers_first(tracks, np.arange(len(frame_s)).reshape(-1, 2), config)
-    keep = np.flatnonzero(is_moving)
+    keep = np.flatnonzero(is_moving | (not watching.is_gated))
     pairs = pairs_of(tracks, edges[keep], frame_s)
     n_samples = tracks.n_samples[edges[keep, 0]]
     evidence = weigh(pairs, is_moving[keep], n_samples, watching.horizon_s)
-    can = np.flatnonzero(evidence.is_possible)
+    can = np.flatnonzero(evidence.is_possible | (not watching.is_gated))
     keep, evidence = keep[can], evidence.take(can)
     rule = k_sigma_rule(evidence, config.k_sigma)
     columns = {
