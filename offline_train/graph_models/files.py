@@ -20,7 +20,13 @@ from offline_train.graph_models.need import graph_module
 from offline_train.trigger.scaling import Scaler
 
 FEATURE_SET = "paper-star"
+_DATA = Path(__file__).resolve().parent.parent / "data"
 _SPEC_KEYS = tuple(GraphSpec.__dataclass_fields__)
+
+
+def shipped(architecture: str, has_quirks: bool) -> Path:
+    """Return the file of one of the paper's models, trained by the command in ``verbs/fit.py``."""
+    return _DATA / f"paper-{architecture}{'-quirks' if has_quirks else ''}.npz"
 
 
 def fields_of(fit: GraphFit, notes: Mapping[str, Any]) -> Dict[str, Any]:

@@ -119,15 +119,11 @@ def diffgraphormer(
     return from_spec(full_spec(GRAPHORMER, node_names, edge_names), dropout)
 
 
-def diffgat(
-    node_names: Tuple[str, ...], edge_names: Tuple[str, ...], dropout: float
-) -> SpecModel:
+def diffgat(node_names: Tuple[str, ...], edge_names: Tuple[str, ...], dropout: float) -> SpecModel:
     """Return DiffGAT; registered as ``diffgat``."""
     return from_spec(full_spec(GAT, node_names, edge_names), dropout)
 
 
-def diffgcn(
-    node_names: Tuple[str, ...], edge_names: Tuple[str, ...], dropout: float
-) -> SpecModel:
+def diffgcn(node_names: Tuple[str, ...], edge_names: Tuple[str, ...], dropout: float) -> SpecModel:
     """Return DiffGCN; registered as ``diffgcn``."""
     return from_spec(full_spec(GCN, node_names, edge_names), dropout)

@@ -92,9 +92,7 @@ def train_paper(
         is_sigmoid_inside=quirks.is_sigmoid_inside,
     )
     learnt, held = graphs.take(np.arange(N_TRAIN)), graphs.take(np.arange(N_TRAIN, N_GRAPHS))
-    fit = training.fit(
-        lambda: models.from_spec(spec, DROPOUT), learnt, options, on_epoch=on_epoch
-    )
+    fit = training.fit(lambda: models.from_spec(spec, DROPOUT), learnt, options, on_epoch=on_epoch)
     logit = fit.logit(held)
     metrics = {
         "correct": rates(logit > 0.0, held.labels),

@@ -12,7 +12,8 @@ from typing import Tuple
 
 import numpy as np
 
-from apex_edge.triggers.approach import Pairs, closest
+from apex_edge.triggers.approach import Pairs, closest, first_contact
+from apex_edge.triggers.features import edge_features
 from apex_edge.types import Array
 from offline_train.trigger.seeds import rng
 
@@ -55,11 +56,15 @@ class StarSet:
 
 
 def paper_stars(purpose: str, seed: int, n_graphs: int, n_nodes: int = N_NODES) -> StarSet:
+    """Draw the paper's stars of a purpose and a seed; see ``draw_paper_stars``."""
+    return draw_paper_stars(rng(purpose, seed), n_graphs, n_nodes)
+
+
+def draw_paper_stars(random: np.random.Generator, n_graphs: int, n_nodes: int = N_NODES) -> StarSet:
     """Draw the paper's stars; every second one, from the second on, has a planted target.
 
     Source: APEX appendix "Training data generation".
     """
-    random = rng(purpose, seed)
     place = random.uniform(-_BOX, _BOX, (n_graphs, n_nodes, 3))
     speed = random.uniform(_SLOW[0], _SLOW[1], (n_graphs, n_nodes, 1))
     velocity = speed * _directions(random, (n_graphs, n_nodes))
@@ -73,13 +78,17 @@ def paper_stars(purpose: str, seed: int, n_graphs: int, n_nodes: int = N_NODES) 
 
 
 def hard_stars(purpose: str, seed: int, n_graphs: int, n_nodes: int = N_NODES) -> StarSet:
+    """Draw the leak-free stars of a purpose and a seed; see ``draw_hard_stars``."""
+    return draw_hard_stars(rng(purpose, seed), n_graphs, n_nodes)
+
+
+def draw_hard_stars(random: np.random.Generator, n_graphs: int, n_nodes: int = N_NODES) -> StarSet:
     """Draw the leak-free stars: one distribution of speed, half the targets aimed with a miss.
 
     An aimed target heads for where the master will be when it gets there, shifted by the miss in
     a random direction; the part of it along the way does not count. 11.5 % truly touch.
     Source: ours.
     """
-    random = rng(purpose, seed)
     shape = (n_graphs, n_nodes - 1)
     place = random.uniform(-_BOX, _BOX, (n_graphs, n_nodes, 3))
     velocity = np.empty_like(place)
@@ -112,6 +121,15 @@ def star_pairs(stars: StarSet) -> Pairs:
     )
 
 
+def pair_features(stars: StarSet) -> Array:
+    """Return the device's pair features (g * (n - 1), k) of the edges, in three dimensions.
+
+    The states are exact (zero covariance), so z and reach are as good as signs: the answer itself.
+    """
+    pairs = star_pairs(stars)
+    return edge_features(pairs, closest(pairs, HORIZON_S), HORIZON_S)
+
+
 def paper_edges(stars: StarSet, is_raw_displacement: bool = False) -> Array:
     """Return the paper's edge features (g, n - 1, 3) as ``EDGE_NAMES``.
 
@@ -135,7 +153,8 @@ def _complete(place: Array, velocity: Array, designed: Array) -> StarSet:
     node_dt = np.concatenate([is_master, later, velocity], axis=-1)
     blank = np.zeros(designed.shape)
     stars = StarSet(node_t, node_dt, designed, designed, blank, blank)
-    contact = closest(star_pairs(stars), HORIZON_S).ttc_s.reshape(designed.shape)
+    pairs = star_pairs(stars)
+    contact_s = first_contact(pairs, closest(pairs, HORIZON_S), HORIZON_S)
     meet = place[:, :1] + INTERCEPT_S * velocity[:, :1]
     to_meet, to_master = meet - later[:, 1:], later[:, :1] - later[:, 1:]
     heading, speed = _unit(velocity[:, 1:]), _norm(velocity[:, 1:])
@@ -143,7 +162,7 @@ def _complete(place: Array, velocity: Array, designed: Array) -> StarSet:
         node_t=node_t,
         node_dt=node_dt,
         designed=designed,
-        truth=np.isfinite(contact),
+        truth=np.isfinite(contact_s).reshape(designed.shape),
         risk=_risk(to_meet, -_dot(_unit(to_meet), heading), DT_S * speed),
         risk_fixed=_risk(to_master, _dot(_unit(to_master), heading), speed),
     )

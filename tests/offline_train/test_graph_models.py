@@ -40,7 +40,8 @@ def make(spec):
 
 
 @pytest.mark.parametrize(
-    ("architecture", "n_parameters"), [("diffgraphormer", 4641), ("diffgat", 1441), ("diffgcn", 1377)]
+    ("architecture", "n_parameters"),
+    [("diffgraphormer", 4641), ("diffgat", 1441), ("diffgcn", 1377)],
 )
 def test_the_papers_models_have_the_released_sizes(architecture, n_parameters):
     model = models.from_spec(paper(architecture), 0.3)
