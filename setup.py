@@ -139,6 +139,7 @@ setup(
         ],
         "apex_edge.scenarios": [
             "tabletop-pairs = offline_train.scenes.tabletop_pairs",
+            "mujoco = offline_train.scenes.mujoco_table",
             "tabletop-cv = offline_train.scenes.tabletop_cv",
             "committed = offline_train.scenes.committed",
         ],
@@ -146,6 +147,8 @@ setup(
             "generate = offline_train.verbs.generate",
             "fit = offline_train.verbs.fit",
             "trigger = offline_train.verbs.trigger",
+            "calibrate = offline_train.verbs.calibrate",
+            "recalibrate = offline_train.verbs.recalibrate",
             "evaluate = offline_train.verbs.evaluate",
             "export = offline_train.verbs.export",
             "verify = offline_train.verbs.verify",

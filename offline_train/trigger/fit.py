@@ -65,10 +65,18 @@ def sklearn_module(name: str) -> Any:
         ) from error
 
 
-def fit(train: Observed, seed: int) -> LinearFit:
-    """Fit without class weights, so that the probability means what it says."""
+def fit(train: Observed, seed: int, is_soft: bool = False) -> LinearFit:
+    """Fit without class weights, so that the probability means what it says.
+
+    ``is_soft`` learns from ``train.soft`` by soft cross-entropy: each row stands twice, as a
+    contact with weight p and as none with weight 1 - p.
+
+    Raises
+    ------
+    ApexError : a row that is learnt from has no soft label.
+    """
     rows = thin(train.pair, ROWS_PER_PAIR, seed)
-    features, label = train.features[rows], train.label[rows]
+    features = train.features[rows]
     clip_lo, clip_hi = features.min(axis=0), features.max(axis=0)
     for name in ("z", "reach", "z_pos", "reach_pos"):
         column = FEATURE_NAMES.index(name)
@@ -77,7 +85,16 @@ def fit(train: Observed, seed: int) -> LinearFit:
     clipped = np.clip(features, clip_lo, clip_hi)
     mean, scale = clipped.mean(axis=0), clipped.std(axis=0)
     model = sklearn_module("sklearn.linear_model").LogisticRegression(max_iter=5000, tol=1e-8)
-    model.fit((clipped - mean) / scale, label)
+    scaled = (clipped - mean) / scale
+    if is_soft:
+        chance = train.soft[rows]
+        if not np.isfinite(chance).all():
+            raise ApexError(f"{int(np.sum(np.isnan(chance)))} training rows have no soft label")
+        label = np.repeat([True, False], len(rows))
+        weight = np.concatenate([chance, 1.0 - chance])
+        model.fit(np.concatenate([scaled, scaled]), label, sample_weight=weight)
+    else:
+        model.fit(scaled, train.label[rows])
     return LinearFit(
         clip_lo=clip_lo,
         clip_hi=clip_hi,
