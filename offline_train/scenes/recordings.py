@@ -45,7 +45,7 @@ MARGIN_M = 0.004
 CORNER = 1.35
 GRAZE = 1.15
 _ABOUT_S = 0.3
-_FAST_M_S = 0.03
+_FAST_M_S = 0.012
 _HALF_WINDOW = 2
 # Joints of a simulated or measured arm at rest differ by less from frame to frame.
 _STILL_RAD = 0.01
