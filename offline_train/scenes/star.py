@@ -12,7 +12,7 @@ from typing import Tuple
 
 import numpy as np
 
-from apex_edge.triggers.approach import Pairs, closest
+from apex_edge.triggers.approach import Pairs, closest, first_contact
 from apex_edge.triggers.features import edge_features
 from apex_edge.types import Array
 from offline_train.trigger.seeds import rng
@@ -145,7 +145,8 @@ def _complete(place: Array, velocity: Array, designed: Array) -> StarSet:
     node_dt = np.concatenate([is_master, later, velocity], axis=-1)
     blank = np.zeros(designed.shape)
     stars = StarSet(node_t, node_dt, designed, designed, blank, blank)
-    contact = closest(star_pairs(stars), HORIZON_S).ttc_s.reshape(designed.shape)
+    pairs = star_pairs(stars)
+    contact_s = first_contact(pairs, closest(pairs, HORIZON_S), HORIZON_S)
     meet = place[:, :1] + INTERCEPT_S * velocity[:, :1]
     to_meet, to_master = meet - later[:, 1:], later[:, :1] - later[:, 1:]
     heading, speed = _unit(velocity[:, 1:]), _norm(velocity[:, 1:])
@@ -153,7 +154,7 @@ def _complete(place: Array, velocity: Array, designed: Array) -> StarSet:
         node_t=node_t,
         node_dt=node_dt,
         designed=designed,
-        truth=np.isfinite(contact),
+        truth=np.isfinite(contact_s).reshape(designed.shape),
         risk=_risk(to_meet, -_dot(_unit(to_meet), heading), DT_S * speed),
         risk_fixed=_risk(to_master, _dot(_unit(to_master), heading), speed),
     )
