@@ -143,6 +143,7 @@ setup(
             "committed = offline_train.scenes.committed",
         ],
         "apex_edge.trainings": [
+            "generate = offline_train.verbs.generate",
             "fit = offline_train.verbs.fit",
             "trigger = offline_train.verbs.trigger",
             "evaluate = offline_train.verbs.evaluate",

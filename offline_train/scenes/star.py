@@ -56,11 +56,15 @@ class StarSet:
 
 
 def paper_stars(purpose: str, seed: int, n_graphs: int, n_nodes: int = N_NODES) -> StarSet:
+    """Draw the paper's stars of a purpose and a seed; see ``draw_paper_stars``."""
+    return draw_paper_stars(rng(purpose, seed), n_graphs, n_nodes)
+
+
+def draw_paper_stars(random: np.random.Generator, n_graphs: int, n_nodes: int = N_NODES) -> StarSet:
     """Draw the paper's stars; every second one, from the second on, has a planted target.
 
     Source: APEX appendix "Training data generation".
     """
-    random = rng(purpose, seed)
     place = random.uniform(-_BOX, _BOX, (n_graphs, n_nodes, 3))
     speed = random.uniform(_SLOW[0], _SLOW[1], (n_graphs, n_nodes, 1))
     velocity = speed * _directions(random, (n_graphs, n_nodes))
@@ -74,13 +78,17 @@ def paper_stars(purpose: str, seed: int, n_graphs: int, n_nodes: int = N_NODES) 
 
 
 def hard_stars(purpose: str, seed: int, n_graphs: int, n_nodes: int = N_NODES) -> StarSet:
+    """Draw the leak-free stars of a purpose and a seed; see ``draw_hard_stars``."""
+    return draw_hard_stars(rng(purpose, seed), n_graphs, n_nodes)
+
+
+def draw_hard_stars(random: np.random.Generator, n_graphs: int, n_nodes: int = N_NODES) -> StarSet:
     """Draw the leak-free stars: one distribution of speed, half the targets aimed with a miss.
 
     An aimed target heads for where the master will be when it gets there, shifted by the miss in
     a random direction; the part of it along the way does not count. 11.5 % truly touch.
     Source: ours.
     """
-    random = rng(purpose, seed)
     shape = (n_graphs, n_nodes - 1)
     place = random.uniform(-_BOX, _BOX, (n_graphs, n_nodes, 3))
     velocity = np.empty_like(place)
