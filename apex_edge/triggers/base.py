@@ -40,7 +40,7 @@ class TriggerConfig:
     """Settings of the trigger stage, ``[trigger]``."""
 
     type: str = setting("linear", "name of the trigger plug-in")
-    weights: str = setting("", "weights file of the linear trigger; empty = the shipped one")
+    weights: str = setting("", "model file of a trained trigger; empty = the shipped one")
     k_sigma: float = setting(1.0, "sd of miss distance the analytic rule adds to the radius", 0, 6)
     min_speed_m_s: float = setting(0.02, "m/s below which an object counts as at rest", 0.0, 1.0)
     # Measured on white noise, windows of 5 to 20 frames: with 3 sd a still track passes the gate
@@ -48,6 +48,11 @@ class TriggerConfig:
     min_speed_sd: float = setting(4.0, "sd of velocity below which an object is at rest", 0, 20)
     persist_hits: int = setting(3, "frames with a hit needed to fire", 1, 60)
     persist_frames: int = setting(5, "frames looked back for the hits", 1, 60)
+    drift_window_s: float = setting(30.0, "s of judged pairs the drift alarm looks at", 1.0, 3600.0)
+    drift_min_pairs: int = setting(300, "judged pairs before the drift alarm speaks", 1, 1000000)
+    drift_share: float = setting(
+        0.1, "share of pairs unlike the training set that raises the alarm; 1 = never", 0.0, 1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -149,7 +154,7 @@ class Trigger(ABC):
 
     @abstractmethod
     def judge(self, evidence: Evidence) -> Verdict:
-        """Judge pairs which move and can touch; no state."""
+        """Judge pairs which move and can touch."""
 
 
 @dataclass

@@ -4,20 +4,16 @@ Source: APEX section "Trigger" (motion attention over the difference graph); nod
 certificate and fallback are ours.
 """
 
-import logging
 from pathlib import Path
 from typing import Optional, Union
 
-import numpy as np
-
-from apex_edge.triggers.analytic import k_sigma_rule
-from apex_edge.triggers.base import Evidence, Trigger, TriggerConfig, Verdict
+from apex_edge.triggers.base import Evidence, TriggerConfig
+from apex_edge.triggers.learnt import LearntTrigger
 from apex_edge.triggers.weights import SHIPPED_GRAPH, load_graph
+from apex_edge.types import Array
 
-logger = logging.getLogger(__name__)
 
-
-class GraphTrigger(Trigger):
+class GraphTrigger(LearntTrigger):
     """Judge pairs by a trained graph net; outside its domain by the k-sigma rule, flagged.
 
     Parameters
@@ -27,7 +23,7 @@ class GraphTrigger(Trigger):
 
     Raises
     ------
-    WeightsError : the model file is damaged, or of another format or kind.
+    WeightsError : the model file is missing, damaged, or of another format or kind.
     """
 
     def __init__(
@@ -35,32 +31,15 @@ class GraphTrigger(Trigger):
         config: Optional[TriggerConfig] = None,
         weights_path: Optional[Union[str, Path]] = None,
     ) -> None:
-        super().__init__(config)
-        self.weights_path = Path(weights_path or self.config.weights or SHIPPED_GRAPH)
+        config = config if config is not None else TriggerConfig()
+        self.weights_path = Path(weights_path or config.weights or SHIPPED_GRAPH)
         self.weights = load_graph(self.weights_path)
-        gate = {key: getattr(self.config, key, None) for key in self.weights.gate}
-        if gate != self.weights.gate:
-            logger.warning(
-                "%s: the recall was certified for %s, the settings say %s; it no longer holds",
-                self.weights_path.name,
-                self.weights.gate,
-                gate,
-            )
+        super().__init__(config, self.weights, self.weights_path.name)
 
-    def judge(self, evidence: Evidence) -> Verdict:
-        """Apply the net to all stars of the frame; outside its domain the analytic rule."""
-        model = self.weights
-        features = model.feature_set.compute(evidence.pairs, evidence.approach, evidence.horizon_s)
-        known = model.is_in_domain(features, evidence.pairs.radius_m, evidence.n_samples) & np.all(
-            np.isfinite(features), axis=1
-        )
-        if abs(evidence.horizon_s - model.horizon_s) > 1e-6:
-            known[:] = False
-        logit = model.logit(features, evidence.pairs, evidence.mover_id)
-        known &= np.isfinite(logit)
-        rule = k_sigma_rule(evidence, self.config.k_sigma)
-        return Verdict(
-            probability=np.where(known, model.probability(logit), rule.probability),
-            is_hit=np.where(known, logit >= model.threshold, rule.is_hit),
-            is_fallback=~known,
-        )
+    def logit(self, evidence: Evidence, features: Array) -> Array:
+        """Return the logit (m,) of m pairs, the stars of all movers in one batch.
+
+        A star holds the pairs that are judged: those that can touch. A bidirectional net, in which
+        targets hear of each other, must be trained on the same.
+        """
+        return self.weights.logit(features, evidence.pairs, evidence.mover_id)

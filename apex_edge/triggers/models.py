@@ -17,7 +17,7 @@ from apex_edge.triggers.features import (
     edge_features,
 )
 from apex_edge.triggers.graph_net import GraphNet
-from apex_edge.triggers.stars import NODE_NAMES, stars
+from apex_edge.triggers.stars import nodes_as, stars
 from apex_edge.types import Array
 
 
@@ -59,37 +59,63 @@ class Columns:
         return standard
 
 
+class Domain:
+    """What the training covered: ``ranges`` of features and of ``radius_m``; the rest is free.
+
+    Parameters
+    ----------
+    ranges : lowest and highest value by name.
+    names : of the k features.
+    min_samples : shortest window trained on.
+    """
+
+    def __init__(
+        self, ranges: Dict[str, Tuple[float, float]], names: Tuple[str, ...], min_samples: int
+    ) -> None:
+        self.ranges = ranges
+        self.min_samples = min_samples
+        # As rows: one comparison for all columns in place of one for each.
+        free = (-np.inf, np.inf)
+        self._low, self._high = np.array([ranges.get(name, free) for name in names]).T
+        self._radius_m = ranges.get("radius_m", free)
+
+    def holds(self, features: Array, radius_m: Array, n_samples: Array) -> Array:
+        """Say which pairs (m,) lie inside, by ``features (m, k)``; NaN does not."""
+        is_low, is_high = features >= self._low, features <= self._high
+        inside: Array = np.logical_and.reduce(is_low & is_high, axis=1)
+        inside &= n_samples >= self.min_samples
+        inside &= (radius_m >= self._radius_m[0]) & (radius_m <= self._radius_m[1])
+        return inside
+
+
 @dataclass(frozen=True)
 class TriggerModel:
     """What every trained model has; ``columns`` are those of ``feature_set``.
 
     ``threshold`` is a logit; NaN when nothing has certified one yet, and then nothing fires.
-    ``domain`` maps a feature, or ``radius_m``, to the range the training covered;
-    ``training_range`` maps every feature to the range seen in training; ``min_samples`` is the
-    shortest window trained on. ``certificate`` and ``gate`` say what recall was certified, and
-    under which gate and vote. ``platt`` (a, b): the probability is sigmoid(a * logit + b).
+    ``training_range`` maps every feature to the range seen in training. ``certificate`` and
+    ``gate`` say what recall was certified, and under which gate and vote.
+    ``platt`` (a, b): the probability is sigmoid(a * logit + b).
     """
 
     feature_set: FeatureSet
     horizon_s: float
     columns: Columns
     threshold: float
-    domain: Dict[str, Tuple[float, float]]
+    domain: Domain
     training_range: Dict[str, Tuple[float, float]]
-    min_samples: int
     certificate: Dict[str, Any]
     gate: Dict[str, Any]
     platt: Tuple[float, float]
 
+    @property
+    def min_samples(self) -> int:
+        """Return the shortest window trained on."""
+        return self.domain.min_samples
+
     def is_in_domain(self, features: Array, radius_m: Array, n_samples: Array) -> Array:
         """Say which pairs (m,) lie inside what the training covered."""
-        inside = n_samples >= self.min_samples
-        names = self.feature_set.names
-        for name, (low, high) in self.domain.items():
-            column = radius_m if name == "radius_m" else features[:, names.index(name)]
-            inside = inside & (column >= low) & (column <= high)
-        result: Array = inside
-        return result
+        return self.domain.holds(features, radius_m, n_samples)
 
     def probability(self, logit: Array) -> Array:
         """Return the calibrated probability (m,) of contact."""
@@ -128,8 +154,7 @@ class GraphWeights(TriggerModel):
         mover : (m,) identity of each pair's mover.
         """
         found = stars(pairs, mover)
-        wanted = [NODE_NAMES.index(name) for name in self.net.spec.node_names]
-        nodes = self.node_columns(found.nodes[:, wanted])
+        nodes = self.node_columns(nodes_as(found.nodes, self.net.spec.node_names))
         return self.net.logits(nodes, found.edges, self.columns(features))
 
 

@@ -39,33 +39,49 @@ def stars(pairs: Pairs, mover: Array, group: Optional[Array] = None) -> Stars:
     mover : (m,) identity of each pair's mover, whole numbers.
     group : (m,) identity of the frame each pair is from; None = all from one frame.
     """
+    star, first = _star_of(mover, group)
+    n_stars, n_pairs = len(first), len(mover)
+    nodes = np.zeros((len(NODE_NAMES), n_stars + n_pairs))
+    targets = nodes[:, n_stars:]
+    speed, cos, sin = _heading(pairs.mover_vel_m_s)
+    nodes[0, :n_stars] = 1.0
+    nodes[3, :n_stars] = speed[first]
+    # Places and velocities in one go: x and vx are rows 1 and 3, y and vy rows 2 and 4.
+    x = np.array((pairs.offset_m[:, 0], pairs.target_vel_m_s[:, 0]))
+    y = np.array((pairs.offset_m[:, 1], pairs.target_vel_m_s[:, 1]))
+    targets[1:4:2] = x * cos + y * sin
+    targets[2:5:2] = y * cos - x * sin
+    targets[5] = pairs.radius_m
+    edges = np.empty((2, n_pairs), dtype=np.intp)
+    edges[0] = star
+    edges[1] = np.arange(n_stars, n_stars + n_pairs)
+    return Stars(nodes.T, edges)
+
+
+def nodes_as(nodes: Array, names: Tuple[str, ...]) -> Array:
+    """Return the columns (N, F) of ``Stars.nodes`` that a model reads, in its order."""
+    if names == NODE_NAMES:
+        return nodes
+    columns: Array = nodes[:, [NODE_NAMES.index(name) for name in names]]
+    return columns
+
+
+def _star_of(mover: Array, group: Optional[Array]) -> Tuple[Array, Array]:
+    """Return the star (m,) of each pair and the first pair (s,) of each star."""
     key = mover
     if group is not None:
         movers, key = np.unique(mover, return_inverse=True)
         key = key + np.unique(group, return_inverse=True)[1] * len(movers)
+    elif len(mover) and (mover == mover[0]).all():
+        # One mover at a time is the usual case, and np.unique takes as long as the whole net.
+        return np.zeros(len(mover), dtype=np.intp), np.zeros(1, dtype=np.intp)
     _, first, star = np.unique(key, return_index=True, return_inverse=True)
-    n_stars, n_pairs = len(first), len(mover)
-    heading = _heading(pairs.mover_vel_m_s)
-    nodes = np.zeros((n_stars + n_pairs, len(NODE_NAMES)))
-    nodes[:n_stars, 0] = 1.0
-    nodes[:n_stars, 3:5] = _turned(pairs.mover_vel_m_s, heading)[first]
-    nodes[n_stars:, 1:3] = _turned(pairs.offset_m, heading)
-    nodes[n_stars:, 3:5] = _turned(pairs.target_vel_m_s, heading)
-    nodes[n_stars:, 5] = pairs.radius_m
-    return Stars(nodes, np.stack([star, n_stars + np.arange(n_pairs)]))
+    return star, first
 
 
-def _heading(velocity: Array) -> Array:
-    """Return unit vectors (m, 2); a resting mover looks along the first axis."""
-    speed = np.sqrt(np.einsum("md,md->m", velocity, velocity))
-    is_still = speed == 0.0
-    heading: Array = velocity / np.where(is_still, 1.0, speed)[:, None]
-    heading[is_still, 0] = 1.0
-    return heading
-
-
-def _turned(vectors: Array, heading: Array) -> Array:
-    """Return vectors (m, 2) along and across the heading."""
-    along = vectors[:, 0] * heading[:, 0] + vectors[:, 1] * heading[:, 1]
-    across = vectors[:, 1] * heading[:, 0] - vectors[:, 0] * heading[:, 1]
-    return np.stack([along, across], axis=1)
+def _heading(velocity: Array) -> Tuple[Array, Array, Array]:
+    """Return speed, cosine and sine (m,); a mover at rest looks along the first axis."""
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    moves = speed > 0.0
+    safe = np.where(moves, speed, 1.0)
+    return speed, np.where(moves, velocity[:, 0], 1.0) / safe, velocity[:, 1] / safe

@@ -17,6 +17,7 @@ from apex_edge.triggers.graph_net import GraphNet, GraphSpec
 from apex_edge.triggers.models import (
     FEATURE_SETS,
     Columns,
+    Domain,
     FeatureSet,
     GraphWeights,
     LinearWeights,
@@ -114,7 +115,7 @@ def _guarded(fields: Any, where: str, is_replayed: bool) -> Model:
             return model
     except KeyError as error:
         raise WeightsError(f"{where}: {error} is missing") from error
-    except (WeightsError, ValueError, OverflowError) as error:
+    except (WeightsError, ValueError, ArithmeticError) as error:
         raise WeightsError(f"{where}: {error}") from error
     except (TypeError, AttributeError, IndexError, RecursionError) as error:
         raise WeightsError(f"{where}: a field has the wrong type: {error}") from error
@@ -168,9 +169,10 @@ def _common(fields: Dict[str, Any], features: FeatureSet) -> Dict[str, Any]:
         "horizon_s": horizon_s,
         "columns": _columns({**scaler, **clip}, len(names), "scaler and clip"),
         "threshold": certificate.get("logit", float("nan")),
-        "domain": _ranges(fields["domain"], set(names) | {"radius_m"}, "domain"),
+        "domain": Domain(
+            _ranges(fields["domain"], set(names) | {"radius_m"}, "domain"), names, min(windows)
+        ),
         "training_range": _ranges(fields["training_range"], set(names), "training_range"),
-        "min_samples": min(windows),
         "certificate": certificate,
         "gate": dict(fields["gate"]),
         "platt": (slope, offset),

@@ -21,7 +21,7 @@ N_MUTATIONS = 1500
 def measure(seed: int) -> List[Line]:
     """Load sound, spoilt and randomly changed files; count what becomes of them."""
     documents = sound_documents(seed)
-    tally = {"spoilt": _Tally(), "mutated": _Tally()}
+    tally = {"spoilt": Tally(), "mutated": Tally()}
     n_sound, n_loaded = 0, 0
     with tempfile.TemporaryDirectory() as folder:
         for number, (kind, fields) in enumerate(sorted(documents.items())):
@@ -49,7 +49,7 @@ def sound_documents(seed: int) -> Dict[str, Dict[str, Any]]:
     return {"linear": linear, "graph": damages.made_graph(linear, seed)}
 
 
-class _Tally:
+class Tally:
     """How many files were refused as they should be, and what else happened."""
 
     def __init__(self) -> None:
