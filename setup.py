@@ -146,6 +146,7 @@ setup(
         "apex_edge.trainings": [
             "generate = offline_train.verbs.generate",
             "fit = offline_train.verbs.fit",
+            "distill = offline_train.verbs.distill",
             "trigger = offline_train.verbs.trigger",
             "calibrate = offline_train.verbs.calibrate",
             "recalibrate = offline_train.verbs.recalibrate",
