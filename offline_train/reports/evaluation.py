@@ -18,13 +18,14 @@ from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.evaluate import Rated, Testing, beside, evaluate
 from offline_train.trigger.evaluate import curves as points_of
 from offline_train.trigger.observe import Observed
+from offline_train.trigger.scoring import RULE_SURE
 
 # The trees of the ceiling draw rows and bins; any fixed seed does.
 _CEILING_SEED = 0
 
 
 class Model(NamedTuple):
-    """A model document, and what gives its logit (r,) for the rows of a set."""
+    """A model document, and what the device compares with its threshold (r,), row by row."""
 
     fields: Mapping[str, Any]
     score: Callable[[Observed], Array]
@@ -42,6 +43,9 @@ class Data(NamedTuple):
 def examine(data: Data, models: Mapping[str, Model], inputs: Callable[[Observed], Array]) -> Tested:
     """Return figures and curves of the models and their four baselines on one set.
 
+    Of a model, ``fallback_share`` is the share of rows outside its domain, where the k-sigma rule
+    speaks for it as on the device.
+
     Parameters
     ----------
     models : by name; all certified under the same gate, vote and lead. The first is the reference
@@ -57,14 +61,20 @@ def examine(data: Data, models: Mapping[str, Model], inputs: Callable[[Observed]
         raise InputError(f"{data.name}: no frame passes the gate; there is nothing to test on")
     config, lead_s = terms(models)
     rated: Dict[str, Rated] = {}
+    fallback: Dict[str, float] = {}
     for name, model in models.items():
         logit = model.score(data.seen)
         promise = model.fields["threshold"]
         threshold = None if promise is None else float(promise["logit"])
-        rated[name] = Rated(logit, threshold, probability(model.fields, logit))
+        is_fallback = np.abs(logit) >= RULE_SURE
+        said = np.where(is_fallback, data.seen.rule_probability, probability(model.fields, logit))
+        rated[name] = Rated(logit, threshold, said)
+        fallback[name] = float(is_fallback.mean())
     rated.update(beside(data.seen, inputs(data.seen), _CEILING_SEED))
     testing = Testing(config, lead_s, data.kinds, next(iter(models)))
     found = evaluate(data.seen, rated, testing)
+    for name, share in fallback.items():
+        found["rules"][name]["fallback_share"] = share
     if data.origin:
         found["origin"] = dict(data.origin)
     return Tested(data.name, found, points_of(data.seen, rated))

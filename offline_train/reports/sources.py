@@ -12,7 +12,7 @@ from offline_train.reports.evaluation import Data, Model
 from offline_train.scenes.truth import scenario
 from offline_train.trigger import data
 from offline_train.trigger.observe import Observed
-from offline_train.trigger.scoring import scorer
+from offline_train.trigger.scoring import device_scorer
 
 
 def models(paths: Sequence[Path]) -> Dict[str, Model]:
@@ -28,7 +28,7 @@ def models(paths: Sequence[Path]) -> Dict[str, Model]:
         if path.stem in found:
             raise InputError(f"{path}: another model is called {path.stem!r} too; rename one")
         fields = model_file.read(path)
-        found[path.stem] = Model(fields, scorer(fields))
+        found[path.stem] = Model(fields, device_scorer(fields))
     return found
 
 
@@ -38,11 +38,15 @@ def sets(folders: Sequence[Path]) -> List[Data]:
     Raises
     ------
     DataError : a folder is no data, or was drawn to train or to calibrate on.
+    InputError : it was drawn for a study of the classifier alone, without gate.
     JobError : a shard is missing or damaged.
     """
     found: List[Data] = []
     for folder in folders:
         seen, told = data.read(folder, "test")
+        watching = told.watching
+        if watching is not None and not watching.is_gated:
+            raise InputError(f"{folder}: drawn without the moving gate; events need it")
         n_before = sum(one.origin["scenario"] == told.scenario for one in found)
         name = f"{told.scenario}-{n_before + 1}" if n_before else told.scenario
         origin = {

@@ -104,7 +104,7 @@ def test_the_table_has_the_figures_of_the_evaluation(tested):
     assert tables.share(ours["recall"]) in row
     assert f"| {ours['pr_auc']:.3g} |" in row and f"| {ours['ece']:.3g} |" in row
     speed = next(line for line in table.splitlines() if line.startswith("| speed only"))
-    assert speed.count("| - ") == 3  # it states no probability
+    assert speed.count("| - ") == 4  # it states no probability and has no domain
     kinds = tested.evaluation["rules"]["shipped"]["by_kind"]
     assert all(
         f"n = {count['n']}" in tables.of_kinds(tested.evaluation) for count in kinds.values()
@@ -143,6 +143,16 @@ def test_models_certified_under_different_gates_are_not_compared(models, fields)
     both = {**models, "other": evaluation.Model(other, models["shipped"].score)}
     with pytest.raises(InputError, match="other was certified under"):
         evaluation.terms(both)
+
+
+def test_where_the_rule_speaks_for_a_model_its_probability_counts(data, fields):
+    rule = data.seen.rule_hit
+    alone = evaluation.Model(fields, lambda seen: np.where(rule, 1e6, -1e6))
+    tested = evaluation.examine(data, {"alone": alone}, lambda seen: seen.features)
+    ours, analytic = (tested.evaluation["rules"][name] for name in ("alone", evaluate.ANALYTIC))
+    assert ours["fallback_share"] == 1.0
+    assert ours["brier"] == analytic["brier"]
+    assert "fallback_share" not in analytic
 
 
 def test_platt_scaling_is_part_of_what_a_model_says():
