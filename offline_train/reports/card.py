@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional
 
 from apex_edge.record.whole import write_whole_text
-from offline_train.reports import curves, tables
+from offline_train.reports import curves, recipe, tables
 
 _KINDS = {
     "linear": "a logistic regression on features of one pair of objects, in plain numpy",
@@ -54,7 +54,7 @@ def card(fields: Mapping[str, Any], stem: str, tests: List[Tested]) -> Dict[str,
     files: Dict[str, str] = {}
     parts = [
         f"# Hazard trigger `{stem}`\n\n{_what(fields)}",
-        "## How it was trained\n\n" + _training(fields),
+        "## How it was trained\n\n" + _training(fields, stem),
         "## What is certified\n\n" + _certificate(fields),
     ]
     for test in tests:
@@ -136,13 +136,12 @@ def _what(fields: Mapping[str, Any]) -> str:
     )
 
 
-def _training(fields: Mapping[str, Any]) -> str:
-    provenance = dict(fields["provenance"])
-    command = provenance.pop("command", None)
-    rows = [f"- {key}: {value}" for key, value in _flat(provenance, "")]
+def _training(fields: Mapping[str, Any], stem: str) -> str:
+    rows = [f"- {key}: {value}" for key, value in _flat(fields["provenance"], "")]
     text = "\n".join(rows)
-    if command is not None:
-        text += f"\n\nThe exact command:\n\n```\n{command}\n```"
+    commands = recipe.commands(fields, stem)
+    if commands:
+        text += "\n\nThe commands:\n\n```\n" + "\n".join(commands) + "\n```"
     return text + "\n\nSame seed and same library versions give the same bytes."
 
 

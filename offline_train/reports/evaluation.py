@@ -4,7 +4,6 @@ Source: ours.
 """
 
 import json
-from dataclasses import fields as fields_of
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from apex_edge.types import Array
 from offline_train.reports import curves, tables
 from offline_train.reports.card import Tested, n_parameters, section
 from offline_train.trigger.calibrate import Promise
+from offline_train.trigger.certify import gate_of
 from offline_train.trigger.evaluate import Rated, Testing, beside, evaluate
 from offline_train.trigger.evaluate import curves as points_of
 from offline_train.trigger.observe import Observed
@@ -86,19 +86,18 @@ def terms(models: Mapping[str, Model]) -> Tuple[TriggerConfig, float]:
     Raises
     ------
     InputError : they differ, so that no table can compare the models.
+    WeightsError : a gate names a setting that this program does not have.
     """
-    found: Dict[str, Any] = {}
+    found: Dict[str, Tuple[TriggerConfig, float]] = {}
     for name, model in models.items():
         promise = model.fields["threshold"] or {}
         lead_s = float(promise.get("lead_s", Promise().lead_s))
-        found[name] = {"lead_s": lead_s, **model.fields["gate"]}
+        found[name] = (gate_of(model.fields), lead_s)
     first = next(iter(found))
     for name, one in found.items():
         if one != found[first]:
             raise InputError(f"{name} was certified under {one}, but {first} under {found[first]}")
-    known = {spec.name for spec in fields_of(TriggerConfig)}
-    gate = {key: value for key, value in found[first].items() if key in known}
-    return TriggerConfig(**gate), found[first]["lead_s"]
+    return found[first]
 
 
 def probability(document: Mapping[str, Any], logit: Array) -> Array:

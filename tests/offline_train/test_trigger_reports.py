@@ -1,3 +1,4 @@
+import argparse
 import copy
 import json
 import re
@@ -8,7 +9,8 @@ import pytest
 from apex_edge.errors import InputError
 from apex_edge.triggers import weights
 from apex_edge.triggers.base import TriggerConfig
-from offline_train.reports import card, curves, evaluation, tables
+from offline_train import verb
+from offline_train.reports import card, curves, evaluation, recipe, tables
 from offline_train.scenes import tabletop_pairs
 from offline_train.trigger import evaluate, observe, seeds
 from offline_train.trigger.fit import MissingExtraError
@@ -31,7 +33,7 @@ def models(fields):
 @pytest.fixture(scope="module")
 def data():
     seen = observe.observe(
-        seeds.rng("test", 11), tabletop_pairs.NAME, 300, observe.Watching(), TriggerConfig()
+        seeds.rng("test", 11), tabletop_pairs.NAME, 200, observe.Watching(), TriggerConfig()
     )
     return evaluation.Data("pairs", seen, tabletop_pairs.KINDS)
 
@@ -90,6 +92,36 @@ def test_a_command_in_the_provenance_is_quoted_whole(fields, tested):
     named["provenance"]["command"] = "apex train trigger --seed 1 --out x.json"
     text = card.card(named, "x", [tested])["x.md"]
     assert "```\napex train trigger --seed 1 --out x.json\n```" in text
+
+
+def test_the_commands_of_a_model_can_be_read_off_what_it_records(fields):
+    fitted = copy.deepcopy(fields)
+    drawn = {"scenario": "committed", "n_scenes": 300, "seed": 5}
+    fitted["provenance"] = {
+        "data": drawn,
+        "model": "linear12",
+        "label": "truth",
+        "seed": 2,
+        "certified_on": dict(drawn, kind="generated", n_scenes=900),
+    }
+    watching = "--noise-mm 0.5:3 --fps 20:30 --window 5:20 --horizon 5"
+    assert recipe.commands(fitted, "x") == [
+        "apex train generate --scenario committed --scenes 300 --seed 5 --purpose train "
+        f"{watching} --out train",
+        "apex train fit --model linear12 --data train --label truth --seed 2 --out fitted.json",
+        "apex train generate --scenario committed --scenes 900 --seed 5 --purpose calibration "
+        f"{watching} --out calibration",
+        "apex train calibrate --model fitted.json --data calibration --alpha 0.01 "
+        "--confidence 0.95 --lead 1 --out certified.json",
+    ]
+    for line in recipe.commands(fitted, "x"):
+        parser = argparse.ArgumentParser()
+        verb.add_arguments(parser)
+        parser.parse_args(line.split()[2:])
+    assert recipe.commands(fields, "y") == [
+        f"apex train trigger --seed {fields['provenance']['seed']} --out y.json"
+    ]
+    assert recipe.commands(dict(fields, provenance={"generator": "paper-star"}), "z") == []
 
 
 def test_a_file_without_a_threshold_is_said_to_promise_nothing(fields, tested):
