@@ -38,15 +38,17 @@ def sets(folders: Sequence[Path]) -> List[Data]:
     Raises
     ------
     DataError : a folder is no data, or was drawn to train or to calibrate on.
-    InputError : it was drawn for a study of the classifier alone, without gate.
+    InputError : it was drawn for a study of the classifier alone.
     JobError : a shard is missing or damaged.
     """
     found: List[Data] = []
     for folder in folders:
         seen, told = data.read(folder, "test")
         watching = told.watching
-        if watching is not None and not watching.is_gated:
-            raise InputError(f"{folder}: drawn without the moving gate; events need it")
+        if watching is not None and (watching.stride != 1 or not watching.is_gated):
+            raise InputError(
+                f"{folder}: drawn without the moving gate, or not every frame; events need both"
+            )
         n_before = sum(one.origin["scenario"] == told.scenario for one in found)
         name = f"{told.scenario}-{n_before + 1}" if n_before else told.scenario
         origin = {
@@ -62,4 +64,4 @@ def sets(folders: Sequence[Path]) -> List[Data]:
 
 def ceiling_inputs(seen: Observed) -> Array:
     """Return all that any model may see of the rows (r, k): what the boosted trees get."""
-    return np.hstack([seen.features])
+    return np.hstack([seen.features, seen.wide])
