@@ -104,6 +104,7 @@ setup(
         "apex_edge.triggers": [
             "analytic = apex_edge.triggers.analytic:AnalyticTrigger",
             "linear = apex_edge.triggers.linear:LinearTrigger",
+            "graph = apex_edge.triggers.graph_trigger:GraphTrigger",
         ],
         "apex_edge.simulators": [
             "kernel = apex_edge.simulate.kernel:KernelSim",
@@ -136,6 +137,7 @@ setup(
         ],
         "apex_edge.trainings": [
             "trigger = offline_train.verbs.trigger",
+            "verify = offline_train.verbs.verify",
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",

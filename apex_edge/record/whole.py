@@ -111,3 +111,18 @@ def write_whole_text(path: Union[str, Path], text: str) -> None:
     """
     with WholeText(path) as file:
         file.write_text(text)
+
+
+def write_whole_bytes(path: Union[str, Path], data: bytes) -> None:
+    """Write a binary file in one go, or leave the old one untouched.
+
+    Raises
+    ------
+    RecordingError : the file cannot be written.
+    """
+    part = Path(f"{path}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot write: {error}") from error

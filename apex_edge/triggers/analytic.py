@@ -10,10 +10,8 @@ import math
 import numpy as np
 
 from apex_edge.triggers.base import Evidence, Trigger, Verdict
-from apex_edge.triggers.features import reach_sds
+from apex_edge.triggers.features import SD_FLOOR_M, reach_sds
 from apex_edge.types import Array
-
-_SD_FLOOR_M = 1e-4
 
 
 class AnalyticTrigger(Trigger):
@@ -31,7 +29,7 @@ def k_sigma_rule(evidence: Evidence, k_sigma: float) -> Verdict:
     that of getting there within the horizon.
     """
     dca, radius = evidence.approach.dca_m, evidence.pairs.radius_m
-    sigma = np.maximum(evidence.sigma_m, _SD_FLOOR_M)
+    sigma = np.maximum(evidence.approach.miss_sd_m, SD_FLOOR_M)
     inside = _normal_cdf((radius - dca) / sigma) - _normal_cdf((-radius - dca) / sigma)
     probability = inside * _normal_cdf(reach_sds(evidence.pairs, evidence.approach))
     is_hit = dca - radius <= k_sigma * sigma

@@ -13,7 +13,13 @@ from typing import Dict, Optional, Tuple, Union
 import numpy as np
 
 from apex_edge.config import setting
-from apex_edge.triggers.approach import Approach, Pairs, closest, early_contact, miss_sd
+from apex_edge.triggers.approach import (
+    Approach,
+    Pairs,
+    closest,
+    early_contact,
+    first_contact,
+)
 from apex_edge.types import Array, DifferenceGraph, HazardScores, Tracks
 
 # The table is a plane; heights are the least certain part of a depth camera.
@@ -34,7 +40,7 @@ class TriggerConfig:
     """Settings of the trigger stage, ``[trigger]``."""
 
     type: str = setting("linear", "name of the trigger plug-in")
-    weights: str = setting("", "weights file of the linear trigger; empty = the shipped one")
+    weights: str = setting("", "model file of a trained trigger; empty = the shipped one")
     k_sigma: float = setting(1.0, "sd of miss distance the analytic rule adds to the radius", 0, 6)
     min_speed_m_s: float = setting(0.02, "m/s below which an object counts as at rest", 0.0, 1.0)
     # Measured on white noise, windows of 5 to 20 frames: with 3 sd a still track passes the gate
@@ -42,24 +48,32 @@ class TriggerConfig:
     min_speed_sd: float = setting(4.0, "sd of velocity below which an object is at rest", 0, 20)
     persist_hits: int = setting(3, "frames with a hit needed to fire", 1, 60)
     persist_frames: int = setting(5, "frames looked back for the hits", 1, 60)
+    drift_window_s: float = setting(30.0, "s of judged pairs the drift alarm looks at", 1.0, 3600.0)
+    drift_min_pairs: int = setting(300, "judged pairs before the drift alarm speaks", 1, 1000000)
+    drift_share: float = setting(
+        0.1, "share of pairs unlike the training set that raises the alarm; 1 = never", 0.0, 1.0
+    )
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of m pairs: geometry, noise, and how much was seen.
+    """What is known of m pairs: who, geometry, noise, and how much was seen.
 
-    ``sigma_m (m,)`` sd of the miss distance, ``early_s (m,)`` pessimistic time to contact,
+    ``mover_id``, ``target_id (m,)`` say which pairs share a mover or a target in this frame;
+    ``ttc_s``, ``early_s (m,)`` time to contact, as estimated and at the pessimistic end;
     ``is_moving (m,)`` of the mover, ``n_samples (m,)`` behind the younger of the two tracks,
     ``horizon_s`` scalar.
     """
 
     pairs: Pairs
     approach: Approach
-    sigma_m: Array
+    ttc_s: Array
     early_s: Array
     is_moving: Array
     n_samples: Array
     horizon_s: float
+    mover_id: Array
+    target_id: Array
 
     @property
     def is_possible(self) -> Array:
@@ -69,22 +83,16 @@ class Evidence:
 
     def take(self, rows: Array) -> "Evidence":
         """Return the pairs chosen by a mask or by indices."""
-        found = self.approach
         return Evidence(
             pairs=self.pairs.take(rows),
-            approach=Approach(
-                found.dca_m[rows],
-                found.tca_s[rows],
-                found.ttc_s[rows],
-                found.at_end_m[rows],
-                found.drift_s[rows],
-                found.end_drift_s[rows],
-            ),
-            sigma_m=self.sigma_m[rows],
+            approach=self.approach.take(rows),
+            ttc_s=self.ttc_s[rows],
             early_s=self.early_s[rows],
             is_moving=self.is_moving[rows],
             n_samples=self.n_samples[rows],
             horizon_s=self.horizon_s,
+            mover_id=self.mover_id[rows],
+            target_id=self.target_id[rows],
         )
 
 
@@ -119,15 +127,15 @@ class Trigger(ABC):
         edges, is_moving = movers_first(tracks, diff.graph.edges, self.config)
         pairs = pairs_of(tracks, edges, diff.dt_s)
         table = _Table.at_rest(pairs)
+        ids = tracks.track_id[edges]
         moving = np.flatnonzero(is_moving)
         if len(moving):
             samples = np.min(tracks.n_samples[edges[moving]], axis=1)
-            evidence = weigh(pairs.take(moving), is_moving[moving], samples, horizon_s)
+            evidence = weigh(pairs.take(moving), is_moving[moving], samples, horizon_s, ids[moving])
             table.put_approach(moving, evidence)
             possible = np.flatnonzero(evidence.is_possible)
             if len(possible):
                 table.put_verdict(moving[possible], self.judge(evidence.take(possible)))
-        ids = tracks.track_id[edges]
         voted = self._persistence.update(ids, table.is_hit)
         return HazardScores(
             seq=diff.seq,
@@ -146,7 +154,7 @@ class Trigger(ABC):
 
     @abstractmethod
     def judge(self, evidence: Evidence) -> Verdict:
-        """Judge pairs which move and can touch; no state."""
+        """Judge pairs which move and can touch."""
 
 
 @dataclass
@@ -183,9 +191,9 @@ class _Table:
         """Fill in the geometry of the pairs that move."""
         self.dca_m[rows] = evidence.approach.dca_m
         self.tca_s[rows] = evidence.approach.tca_s
-        self.ttc_s[rows] = evidence.approach.ttc_s
+        self.ttc_s[rows] = evidence.ttc_s
         self.early_s[rows] = evidence.early_s
-        self.sigma_m[rows] = evidence.sigma_m
+        self.sigma_m[rows] = evidence.approach.miss_sd_m
 
     def put_verdict(self, rows: Array, verdict: Verdict) -> None:
         """Fill in the judgement on the pairs that can touch."""
@@ -245,17 +253,30 @@ def movers_first(tracks: Tracks, edges: Array, config: TriggerConfig) -> Tuple[A
     return ordered, moves[ordered[:, 0]]
 
 
-def weigh(pairs: Pairs, is_moving: Array, n_samples: Array, horizon_s: float) -> Evidence:
-    """Work out closest approach, noise and pessimistic contact of m pairs."""
+def weigh(
+    pairs: Pairs,
+    is_moving: Array,
+    n_samples: Array,
+    horizon_s: float,
+    ids: Optional[Array] = None,
+) -> Evidence:
+    """Work out closest approach, noise and pessimistic contact of m pairs.
+
+    ``ids (m, 2)`` of movers and targets; None = no two pairs have an object in common.
+    """
     approach = closest(pairs, horizon_s)
+    if ids is None:
+        ids = np.arange(2 * len(is_moving)).reshape(-1, 2)
     return Evidence(
         pairs=pairs,
         approach=approach,
-        sigma_m=miss_sd(pairs, approach.drift_s),
+        ttc_s=first_contact(pairs, approach, horizon_s),
         early_s=early_contact(pairs, approach, horizon_s),
         is_moving=is_moving,
         n_samples=n_samples,
         horizon_s=horizon_s,
+        mover_id=ids[:, 0],
+        target_id=ids[:, 1],
     )
 
 

@@ -10,7 +10,7 @@ from typing import Tuple
 
 import numpy as np
 
-from apex_edge.triggers.approach import Approach, Pairs, miss_sd, radial_sd
+from apex_edge.triggers.approach import Approach, Pairs
 from apex_edge.types import Array
 
 FEATURE_SET = "fused12"
@@ -44,7 +44,7 @@ FEATURE_UNITS: Tuple[str, ...] = (
     "sd^2",
 )
 # A vanishing sd would make z and reach infinite; 0.1 mm is finer than any camera here measures.
-_SD_FLOOR_M = 1e-4
+SD_FLOOR_M = 1e-4
 # Beyond 4 sd the factors of the product say no more; unlimited, it drowned the linear model
 # (PR .826 without the limit, .834 with it, on scenes of another seed).
 _PRODUCT_SD = 4.0
@@ -57,38 +57,26 @@ def edge_features(pairs: Pairs, approach: Approach, horizon_s: float) -> Array:
     reach is by how many sd the approach along the line of sight covers the gap by the horizon.
     """
     radius = pairs.radius_m
-    distance = np.sqrt(np.einsum("md,md->m", pairs.offset_m, pairs.offset_m))
-    sight = pairs.offset_m / np.where(distance > 0.0, distance, 1.0)[:, None]
-    relative = pairs.mover_vel_m_s - pairs.target_vel_m_s
-    speed = np.sqrt(np.einsum("md,md->m", relative, relative))
-    closing = np.einsum("md,md->m", relative, sight)
-    sigma = np.maximum(miss_sd(pairs, approach.drift_s), _SD_FLOOR_M)
-    z = (radius - approach.dca_m) / sigma
-    reach = reach_sds(pairs, approach)
-    features: Array = np.column_stack(
-        [
-            distance / radius,
-            closing * horizon_s / radius,
-            speed * horizon_s / radius,
-            closing / np.where(speed > 0.0, speed, 1.0),
-            approach.dca_m / radius,
-            approach.tca_s / horizon_s,
-            z,
-            reach,
-            np.maximum(z, 0.0),
-            np.maximum(reach, 0.0),
-            sigma / radius,
-            np.clip(z, -_PRODUCT_SD, _PRODUCT_SD) * np.clip(reach, -_PRODUCT_SD, _PRODUCT_SD),
-        ]
-    )
+    rows = np.empty((len(FEATURE_NAMES), len(radius)))
+    per_radius = horizon_s / radius
+    sd = np.maximum(approach.sd_m, SD_FLOOR_M)
+    np.divide(approach.distance_m, radius, rows[0])
+    np.multiply(approach.closing_m_s, per_radius, rows[1])
+    np.multiply(approach.speed_m_s, per_radius, rows[2])
+    np.divide(approach.closing_m_s, approach.speed_m_s, rows[3])
+    np.divide(approach.near_m[0], radius, rows[4])
+    np.divide(approach.tca_s, horizon_s, rows[5])
+    inside = np.divide(radius - approach.near_m, sd, rows[6:8])
+    np.maximum(inside, 0.0, rows[8:10])
+    np.divide(sd[0], radius, rows[10])
+    limited = np.minimum(np.maximum(inside, -_PRODUCT_SD), _PRODUCT_SD)
+    np.multiply(limited[0], limited[1], rows[11])
+    features: Array = rows.T
     return features
 
 
 def reach_sds(pairs: Pairs, approach: Approach) -> Array:
     """Return by how many sd (m,) the approach along the line of sight covers the gap."""
-    distance = np.sqrt(np.einsum("md,md->m", pairs.offset_m, pairs.offset_m))
-    sight = pairs.offset_m / np.where(distance > 0.0, distance, 1.0)[:, None]
-    left = np.einsum("md,md->m", approach.at_end_m, sight)
-    sigma = np.maximum(radial_sd(pairs, approach.end_drift_s), _SD_FLOOR_M)
-    result: Array = (pairs.radius_m - left) / sigma
+    sigma = np.maximum(approach.sd_m[1], SD_FLOOR_M)
+    result: Array = (pairs.radius_m - approach.near_m[1]) / sigma
     return result

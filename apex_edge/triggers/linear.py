@@ -4,21 +4,16 @@ Source: APEX section "Limitations" (a lightweight linear classifier stands in fo
 where PyTorch cannot be installed); features, certificate and fallback are ours.
 """
 
-import logging
 from pathlib import Path
 from typing import Optional, Union
 
-import numpy as np
-
-from apex_edge.triggers.analytic import k_sigma_rule
-from apex_edge.triggers.base import Evidence, Trigger, TriggerConfig, Verdict
-from apex_edge.triggers.features import edge_features
-from apex_edge.triggers.weights import SHIPPED, load
-
-logger = logging.getLogger(__name__)
+from apex_edge.triggers.base import Evidence, TriggerConfig
+from apex_edge.triggers.learnt import LearntTrigger
+from apex_edge.triggers.weights import SHIPPED, load_linear
+from apex_edge.types import Array
 
 
-class LinearTrigger(Trigger):
+class LinearTrigger(LearntTrigger):
     """Judge pairs by exported weights; outside their domain by the k-sigma rule, flagged.
 
     Parameters
@@ -36,31 +31,11 @@ class LinearTrigger(Trigger):
         config: Optional[TriggerConfig] = None,
         weights_path: Optional[Union[str, Path]] = None,
     ) -> None:
-        super().__init__(config)
-        self.weights_path = Path(weights_path or self.config.weights or SHIPPED)
-        self.weights = load(self.weights_path)
-        gate = {key: getattr(self.config, key, None) for key in self.weights.gate}
-        if gate != self.weights.gate:
-            logger.warning(
-                "%s: the recall was certified for %s, the settings say %s; it no longer holds",
-                self.weights_path.name,
-                self.weights.gate,
-                gate,
-            )
+        chosen = config if config is not None else TriggerConfig()
+        self.weights_path = Path(weights_path or chosen.weights or SHIPPED)
+        self.weights = load_linear(self.weights_path)
+        super().__init__(chosen, self.weights, self.weights_path.name)
 
-    def judge(self, evidence: Evidence) -> Verdict:
-        """Apply the weights, and the analytic rule where they do not reach."""
-        features = edge_features(evidence.pairs, evidence.approach, evidence.horizon_s)
-        known = self.weights.is_in_domain(
-            features, evidence.pairs.radius_m, evidence.n_samples
-        ) & np.all(np.isfinite(features), axis=1)
-        if abs(evidence.horizon_s - self.weights.horizon_s) > 1e-6:
-            known[:] = False
-        logit = self.weights.logit(features)
-        rule = k_sigma_rule(evidence, self.config.k_sigma)
-        probability = 0.5 * (1.0 + np.tanh(0.5 * logit))
-        return Verdict(
-            probability=np.where(known, probability, rule.probability),
-            is_hit=np.where(known, logit >= self.weights.threshold, rule.is_hit),
-            is_fallback=~known,
-        )
+    def logit(self, evidence: Evidence, features: Array) -> Array:
+        """Return the weighted sum of the features."""
+        return self.weights.logit(features)

@@ -1,237 +1,303 @@
-"""Read and check the weights of a linear trigger: versioned JSON, hash, ranges, golden vectors.
+"""Trained models of the device: build them from a checked document, replay what they must give.
 
-The hash covers the canonical bytes (sorted keys, no spaces, ASCII) of all other fields. The golden
-vectors are raw pairs with the features and the logit they must give, so a change of the feature
-code is found as surely as a damaged weight. Source: ours; the paper names no file format.
+Every key, name, shape and range is checked before use. The golden vectors are raw pairs with the
+features and the logits they must give, so a change of the feature code is found as surely as a
+damaged weight. Source: ours; the paper names no file format.
 """
 
-import hashlib
-import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Tuple, Union
+from typing import Any, Dict, FrozenSet, List, Mapping, Set, Tuple, Union
 
 import numpy as np
 
 from apex_edge.errors import WeightsError
+from apex_edge.triggers import model_file
 from apex_edge.triggers.approach import Pairs, closest
-from apex_edge.triggers.features import (
-    FEATURE_NAMES,
-    FEATURE_SET,
-    FEATURE_UNITS,
-    FEATURE_VERSION,
-    edge_features,
+from apex_edge.triggers.graph_net import GraphNet, GraphSpec
+from apex_edge.triggers.models import (
+    FEATURE_SETS,
+    Columns,
+    Domain,
+    FeatureSet,
+    GraphWeights,
+    LinearWeights,
+    Model,
 )
+from apex_edge.triggers.stars import NODE_NAMES, stars
 from apex_edge.types import Array
 
-FORMAT = "apex-edge-trigger"
-FORMAT_VERSION = 1
-SHIPPED = Path(__file__).resolve().parent.parent / "data" / "trigger-linear.json"
+_DATA = Path(__file__).resolve().parent.parent / "data"
+SHIPPED = _DATA / "trigger-linear.json"
+SHIPPED_GRAPH = _DATA / "trigger-graph.npz"
 # The same float64 operations on another machine may differ in the last bits, no more.
-_GOLDEN_TOLERANCE = 1e-6
-_KEYS = frozenset(
+GOLDEN_TOLERANCE = 1e-9
+_N_GOLDEN = (2, 8)
+_COMMON = frozenset(
     ("format", "format_version", "kind", "feature_set", "feature_version", "feature_names")
-    + ("feature_units", "dims", "horizon_s", "fps_range", "windows", "scaler", "clip", "weights")
-    + ("bias", "threshold", "gate", "training_range", "domain", "noise_model", "provenance")
-    + ("metrics", "golden", "sha256")
+    + ("feature_units", "dims", "horizon_s", "fps_range", "windows", "scaler", "clip", "threshold")
+    + ("gate", "training_range", "domain", "noise_model", "provenance", "metrics", "golden")
+    + ("sha256",)
 )
+_OF_KIND = {"linear": frozenset(("weights", "bias")), "graph": frozenset(("graph",))}
+_OPTIONAL = frozenset(("platt",))
+_SPEC_KEYS = frozenset(GraphSpec.__dataclass_fields__)
+_CERTIFICATE = ("logit", "alpha", "confidence", "lead_s", "n_pos", "k")
 
 
-@dataclass(frozen=True)
-class LinearWeights:
-    """A checked linear model; arrays are (12,), in the order of FEATURE_NAMES.
-
-    ``logit = ((clip(x, clip_lo, clip_hi) - mean) / scale) @ weight + bias``; ``threshold`` is a
-    logit. ``domain`` maps a feature, or ``radius_m``, to the range the training covered;
-    ``min_samples`` is the shortest window trained on. ``certificate`` and ``gate`` say what
-    recall was certified, and under which gate and vote.
-    """
-
-    horizon_s: float
-    mean: Array
-    scale: Array
-    clip_lo: Array
-    clip_hi: Array
-    weight: Array
-    bias: float
-    threshold: float
-    domain: Dict[str, Tuple[float, float]]
-    min_samples: int
-    certificate: Dict[str, Any]
-    gate: Dict[str, Any]
-
-    def logit(self, features: Array) -> Array:
-        """Return the logit (m,) of features (m, 12)."""
-        clipped = np.clip(features, self.clip_lo, self.clip_hi)
-        result: Array = ((clipped - self.mean) / self.scale) @ self.weight + self.bias
-        return result
-
-    def is_in_domain(self, features: Array, radius_m: Array, n_samples: Array) -> Array:
-        """Say which pairs (m,) lie inside what the training covered."""
-        inside = n_samples >= self.min_samples
-        for name, (low, high) in self.domain.items():
-            column = radius_m if name == "radius_m" else features[:, FEATURE_NAMES.index(name)]
-            inside = inside & (column >= low) & (column <= high)
-        result: Array = inside
-        return result
+# Shape of each column of Pairs, per pair.
+_PAIR_SHAPES: Dict[str, Tuple[int, ...]] = {
+    "offset_m": (2,),
+    "mover_vel_m_s": (2,),
+    "target_vel_m_s": (2,),
+    "decel_m_s2": (),
+    "radius_m": (),
+    "cov": (4, 4),
+}
 
 
-def canonical_bytes(fields: Mapping[str, Any]) -> bytes:
-    """Return the bytes the hash covers: all fields but ``sha256``.
+def load(path: Union[str, Path]) -> Model:
+    """Read, check and replay a model file that is ready for use.
 
     Raises
     ------
-    ValueError : a number is NaN or infinite.
+    WeightsError : unreadable, of another format or version, changed after export, missing or
+        unknown key, features of another set, a shape, range or number that is wrong, a golden
+        vector that does not come out, or no certified threshold.
     """
-    rest = {key: value for key, value in fields.items() if key != "sha256"}
-    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return text.encode("ascii")
-
-
-def digest(fields: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of the canonical bytes, in hex."""
-    return hashlib.sha256(canonical_bytes(fields)).hexdigest()
-
-
-def load(path: Union[str, Path]) -> LinearWeights:
-    """Read, check and replay a weights file.
-
-    Raises
-    ------
-    WeightsError : unreadable, not JSON, another format or major version, missing or unknown key,
-        wrong hash, NaN or infinity, features of another set, a scale that is not positive,
-        a range upside down, or a golden vector that does not come out.
-    """
-    source = Path(path)
-    try:
-        text = source.read_text(encoding="utf-8")
-        fields = json.loads(text, parse_constant=_refuse_constant)
-    except (OSError, ValueError, RecursionError) as error:
-        raise WeightsError(f"{source}: cannot be read as a weights file: {error}") from error
-    return check(fields, str(source))
-
-
-def check(fields: Any, where: str) -> LinearWeights:
-    """Check the parsed fields of a weights file and build the model; see ``load``."""
-    if not isinstance(fields, dict):
-        raise WeightsError(f"{where}: expected a JSON object, found {type(fields).__name__}")
-    _check_identity(fields, where)
-    _check_hash(fields, where)
-    _check_features(fields, where)
-    try:
-        model = _build(fields, where)
-        golden = [_replay(case) for case in fields["golden"]]
-    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise WeightsError(f"{where}: a field has the wrong shape or type: {error!r}") from error
-    _check_numbers(model, where)
-    _check_golden(model, golden, where)
+    model = check(model_file.read(path), str(path))
+    if not np.isfinite(model.threshold):
+        raise WeightsError(
+            f"{path}: threshold is null: no recall is certified yet; run apex train calibrate"
+        )
     return model
 
 
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number the format allows")
+def load_linear(path: Union[str, Path]) -> LinearWeights:
+    """Load a model of kind "linear"; see ``load``."""
+    model = load(path)
+    if not isinstance(model, LinearWeights):
+        raise WeightsError(f"{path}: kind is 'graph', expected 'linear'; set trigger.type = graph")
+    return model
 
 
-def _check_identity(fields: Dict[str, Any], where: str) -> None:
-    expected = {"format": FORMAT, "format_version": FORMAT_VERSION, "kind": "linear"}
-    for key, value in expected.items():
-        if fields.get(key) != value:
-            raise WeightsError(f"{where}: {key} is {fields.get(key)!r}, expected {value!r}")
-    missing, unknown = sorted(_KEYS - set(fields)), sorted(set(fields) - _KEYS)
-    if missing or unknown:
-        raise WeightsError(f"{where}: missing keys {missing}, unknown keys {unknown}")
+def load_graph(path: Union[str, Path]) -> GraphWeights:
+    """Load a model of kind "graph"; see ``load``."""
+    model = load(path)
+    if not isinstance(model, GraphWeights):
+        raise WeightsError(f"{path}: kind is 'linear', expected 'graph'; set trigger.type = linear")
+    return model
 
 
-def _check_hash(fields: Dict[str, Any], where: str) -> None:
+def check(fields: Any, where: str) -> Model:
+    """Build the model of a document and replay its golden vectors; no threshold is needed.
+
+    The hash is for ``model_file.read``.
+
+    Raises
+    ------
+    WeightsError : see ``load``.
+    """
+    return _guarded(fields, where, is_replayed=True)
+
+
+def build(fields: Any, where: str) -> Model:
+    """Build the model of a document that has no golden vectors yet; else as ``check``."""
+    return _guarded(fields, where, is_replayed=False)
+
+
+def _guarded(fields: Any, where: str, is_replayed: bool) -> Model:
     try:
-        found = digest(fields)
-    except (ValueError, TypeError) as error:
+        model_file.check_identity(fields)
+        with np.errstate(all="ignore"):
+            model = _built(fields)
+            if is_replayed:
+                _check_golden(model, fields["golden"])
+            return model
+    except KeyError as error:
+        raise WeightsError(f"{where}: {error} is missing") from error
+    except (WeightsError, ValueError, ArithmeticError) as error:
         raise WeightsError(f"{where}: {error}") from error
-    if fields["sha256"] != found:
-        raise WeightsError(
-            f"{where}: sha256 is {fields['sha256']!r}, but the content gives {found!r}; "
-            "the file was changed after export"
-        )
+    except (TypeError, AttributeError, IndexError, RecursionError) as error:
+        raise WeightsError(f"{where}: a field has the wrong type: {error}") from error
 
 
-def _check_features(fields: Dict[str, Any], where: str) -> None:
+def _built(fields: Dict[str, Any]) -> Model:
+    kind = fields.get("kind")
+    _need(isinstance(kind, str) and kind in _OF_KIND, f"kind is {kind!r}, expected linear or graph")
+    _same_keys(set(fields) - _OPTIONAL, _COMMON | _OF_KIND[str(kind)], "the document")
+    features = _feature_set(fields)
+    common: Dict[str, Any] = dict(_common(fields, features))
+    if kind == "graph":
+        return _graph(fields["graph"], features, common)
+    weight = _row(fields["weights"], len(features.names), "weights")
+    return LinearWeights(**common, weight=weight, bias=_number(fields["bias"], "bias"))
+
+
+def _feature_set(fields: Dict[str, Any]) -> FeatureSet:
+    name = fields["feature_set"]
+    _need(
+        isinstance(name, str) and name in FEATURE_SETS,
+        f"feature_set is {name!r}, this program has {sorted(FEATURE_SETS)}",
+    )
+    found = FEATURE_SETS[name]
     expected = {
-        "feature_set": FEATURE_SET,
-        "feature_version": FEATURE_VERSION,
-        "feature_names": list(FEATURE_NAMES),
-        "feature_units": list(FEATURE_UNITS),
+        "feature_version": found.version,
+        "feature_names": list(found.names),
+        "feature_units": list(found.units),
         "dims": 2,
     }
     for key, value in expected.items():
-        if fields[key] != value:
-            raise WeightsError(f"{where}: {key} is {fields[key]!r}, this program has {value!r}")
+        _need(fields[key] == value, f"{key} is {fields[key]!r}, this program has {value!r}")
+    return found
 
 
-def _build(fields: Dict[str, Any], where: str) -> LinearWeights:
-    domain = {name: (float(low), float(high)) for name, (low, high) in fields["domain"].items()}
-    unknown = set(domain) - set(FEATURE_NAMES) - {"radius_m"}
-    if unknown:
-        raise WeightsError(f"{where}: domain names unknown features {sorted(unknown)}")
-    return LinearWeights(
-        horizon_s=float(fields["horizon_s"]),
-        mean=_row(fields["scaler"]["mean"], "scaler.mean"),
-        scale=_row(fields["scaler"]["scale"], "scaler.scale"),
-        clip_lo=_row(fields["clip"]["lo"], "clip.lo"),
-        clip_hi=_row(fields["clip"]["hi"], "clip.hi"),
-        weight=_row(fields["weights"], "weights"),
-        bias=float(fields["bias"]),
-        threshold=float(fields["threshold"]["logit"]),
-        domain=domain,
-        min_samples=int(min(fields["windows"])),
-        certificate=dict(fields["threshold"]),
-        gate=dict(fields["gate"]),
+def _common(fields: Dict[str, Any], features: FeatureSet) -> Dict[str, Any]:
+    names = features.names
+    scaler, clip = fields["scaler"], fields["clip"]
+    certificate = _certificate(fields["threshold"])
+    windows = [_whole(value, "windows") for value in fields["windows"]]
+    platt = fields.get("platt", {"a": 1.0, "b": 0.0})
+    _same_keys(set(platt), frozenset("ab"), "platt")
+    slope, offset = _number(platt["a"], "platt.a"), _number(platt["b"], "platt.b")
+    horizon_s = _number(fields["horizon_s"], "horizon_s")
+    _need(horizon_s > 0.0, f"horizon_s must be positive, found {horizon_s}")
+    _need(slope > 0.0, f"platt.a must be positive, found {slope}")
+    for key in ("gate", "noise_model", "provenance", "metrics"):
+        _need(isinstance(fields[key], dict), f"{key} must be a table")
+    return {
+        "feature_set": features,
+        "horizon_s": horizon_s,
+        "columns": _columns({**scaler, **clip}, len(names), "scaler and clip"),
+        "threshold": certificate.get("logit", float("nan")),
+        "domain": Domain(
+            _ranges(fields["domain"], set(names) | {"radius_m"}, "domain"), names, min(windows)
+        ),
+        "training_range": _ranges(fields["training_range"], set(names), "training_range"),
+        "certificate": certificate,
+        "gate": dict(fields["gate"]),
+        "platt": (slope, offset),
+    }
+
+
+def _certificate(value: Any) -> Dict[str, Any]:
+    """Return the certificate as it is, with plain floats checked; empty when there is none."""
+    if value is None:
+        return {}
+    certificate = dict(value)
+    for key in _CERTIFICATE:
+        certificate[key] = type(certificate[key])(_number(certificate[key], f"threshold.{key}"))
+    return certificate
+
+
+def _graph(value: Dict[str, Any], features: FeatureSet, common: Dict[str, Any]) -> GraphWeights:
+    _same_keys(set(value), _SPEC_KEYS | {"layers", "node_scaler"}, "graph")
+    plain = {key: value[key] for key in _SPEC_KEYS}
+    for key in ("node_names", "edge_names"):
+        plain[key] = tuple(plain[key])
+    spec = GraphSpec(**plain)
+    unknown = sorted(str(name) for name in set(spec.node_names) - set(NODE_NAMES))
+    _need(not unknown, f"node_names: this program has {NODE_NAMES}, not {unknown}")
+    is_blind = spec.edge_mode == "none" and not spec.edge_names
+    _need(
+        is_blind or spec.edge_names == features.names,
+        f"edge_names is {list(spec.edge_names)}, expected the feature_names",
+    )
+    layers = {name: np.array(rows, dtype=np.float64) for name, rows in value["layers"].items()}
+    return GraphWeights(
+        **common,
+        net=GraphNet(spec, layers),
+        node_columns=_columns(value["node_scaler"], len(spec.node_names), "node_scaler"),
     )
 
 
-def _row(values: List[float], name: str) -> Array:
-    row = np.array(values, dtype=np.float64)
-    if row.shape != (len(FEATURE_NAMES),):
-        raise ValueError(f"{name} has shape {row.shape}, expected ({len(FEATURE_NAMES)},)")
+def _columns(value: Dict[str, Any], n: int, name: str) -> Columns:
+    _same_keys(set(value), frozenset(("lo", "hi", "mean", "scale")), name)
+    rows = {key: _row(value[key], n, f"{name}: {key}") for key in value}
+    _need(bool(np.all(rows["scale"] > 0.0)), f"{name}: every scale must be positive")
+    _need(bool(np.all(rows["lo"] <= rows["hi"])), f"{name}: a low end lies above its high end")
+    return Columns(**rows)
+
+
+def _ranges(value: Dict[str, Any], known: Set[str], name: str) -> Dict[str, Tuple[float, float]]:
+    unknown = sorted(set(value) - known)
+    _need(not unknown, f"{name} names unknown features {unknown}")
+    ranges = {key: (_number(low, name), _number(high, name)) for key, (low, high) in value.items()}
+    for key, (low, high) in ranges.items():
+        _need(low <= high, f"{name}: {key} has its low end above its high end")
+    return ranges
+
+
+def _row(value: List[float], n: int, name: str) -> Array:
+    row = np.array(value, dtype=np.float64)
+    _need(row.shape == (n,), f"{name} has shape {row.shape}, expected ({n},)")
+    _need(bool(np.isfinite(row).all()), f"{name} holds a number that is not finite")
     return row
 
 
-def _check_numbers(model: LinearWeights, where: str) -> None:
-    arrays = (model.mean, model.scale, model.clip_lo, model.clip_hi, model.weight)
-    scalars = (model.bias, model.threshold, model.horizon_s)
-    if not (all(np.isfinite(a).all() for a in arrays) and np.isfinite(scalars).all()):
-        raise WeightsError(f"{where}: a weight, scale, clip, bias or threshold is not finite")
-    if not np.all(model.scale > 0.0):
-        raise WeightsError(f"{where}: scaler.scale must be positive, found {model.scale.min()}")
-    if not model.horizon_s > 0.0:
-        raise WeightsError(f"{where}: horizon_s must be positive, found {model.horizon_s}")
-    is_upside = np.any(model.clip_lo > model.clip_hi)
-    if is_upside or any(not low <= high for low, high in model.domain.values()):
-        raise WeightsError(f"{where}: a clip or domain range has its low end above its high end")
+def _number(value: Any, name: str) -> float:
+    _need(type(value) in (int, float), f"{name} is {value!r}, expected a number")
+    number = float(value)
+    _need(bool(np.isfinite(number)), f"{name} is not finite")
+    return number
 
 
-def _replay(case: Mapping[str, Any]) -> Tuple[Array, Array, float]:
-    """Return (features now, features expected, logit expected) of one golden vector."""
-    pairs = Pairs(
-        offset_m=np.array([case["offset_m"]], dtype=np.float64),
-        mover_vel_m_s=np.array([case["mover_vel_m_s"]], dtype=np.float64),
-        target_vel_m_s=np.array([case["target_vel_m_s"]], dtype=np.float64),
-        decel_m_s2=np.array([case["decel_m_s2"]], dtype=np.float64),
-        radius_m=np.array([case["radius_m"]], dtype=np.float64),
-        cov=np.array([case["cov"]], dtype=np.float64),
+def _whole(value: Any, name: str) -> int:
+    _need(type(value) is int and value > 0, f"{name} is {value!r}, expected whole numbers above 0")
+    return int(value)
+
+
+def _same_keys(found: Set[str], expected: FrozenSet[str], name: str) -> None:
+    missing, unknown = sorted(expected - found), sorted(found - expected)
+    _need(not missing and not unknown, f"{name}: missing keys {missing}, unknown keys {unknown}")
+
+
+def _need(is_right: bool, message: str) -> None:
+    if not is_right:
+        raise WeightsError(message)
+
+
+def _check_golden(model: Model, golden: List[Any]) -> None:
+    low, high = _N_GOLDEN
+    _need(
+        isinstance(golden, list) and low <= len(golden) <= high,
+        f"golden: expected {low} to {high} golden vectors",
     )
-    horizon_s = float(case["horizon_s"])
-    features = edge_features(pairs, closest(pairs, horizon_s), horizon_s)
-    return features, _row(case["features"], "golden features")[None], float(case["logit"])
+    for number, case in enumerate(golden):
+        got = replay(model, case)
+        for name, value in got.items():
+            expected = np.array(case[name], dtype=np.float64)
+            is_same = value.shape == expected.shape and np.allclose(
+                value, expected, rtol=GOLDEN_TOLERANCE, atol=GOLDEN_TOLERANCE
+            )
+            _need(
+                is_same,
+                f"golden vector {number}: {name} does not come out: "
+                f"{value.tolist()}, expected {case[name]}",
+            )
 
 
-def _check_golden(
-    model: LinearWeights, golden: List[Tuple[Array, Array, float]], where: str
-) -> None:
-    if not 2 <= len(golden) <= 8:
-        raise WeightsError(f"{where}: expected 2 to 8 golden vectors, found {len(golden)}")
-    for number, (found, expected, logit) in enumerate(golden):
-        if not np.allclose(found, expected, rtol=_GOLDEN_TOLERANCE, atol=_GOLDEN_TOLERANCE):
-            raise WeightsError(f"{where}: golden vector {number}: the features do not come out")
-        got = float(model.logit(found)[0])
-        if not abs(got - logit) <= _GOLDEN_TOLERANCE * max(1.0, abs(logit)):
-            raise WeightsError(f"{where}: golden vector {number}: logit {got}, expected {logit}")
+def replay(model: Model, case: Mapping[str, Any]) -> Dict[str, Array]:
+    """Return what the raw pairs of a golden vector give now.
+
+    A case has the columns of ``Pairs`` (m pairs of one frame), ``mover (m,)`` identities and
+    ``horizon_s``, and what must come out: ``features (m, k)``, ``logit (m,)``, and for a graph
+    ``nodes (N, F)`` and ``edges (2, m)`` of its stars, not yet standardised.
+    """
+    columns = {name: np.array(case[name], dtype=np.float64) for name in _PAIR_SHAPES}
+    n = len(case["radius_m"])
+    for name, shape in _PAIR_SHAPES.items():
+        _need(n > 0 and columns[name].shape == (n, *shape), f"golden {name} has a wrong shape")
+    pairs = Pairs(**columns)
+    horizon_s = _number(case["horizon_s"], "golden horizon_s")
+    features = model.feature_set.compute(pairs, closest(pairs, horizon_s), horizon_s)
+    if isinstance(model, LinearWeights):
+        return {"features": features, "logit": model.logit(features)}
+    mover = np.array([_whole(value, "golden mover") for value in case["mover"]])
+    _need(len(mover) == n, "golden mover has a wrong length")
+    found = stars(pairs, mover)
+    return {
+        "features": features,
+        "nodes": found.nodes,
+        "edges": found.edges,
+        "logit": model.logit(features, pairs, mover),
+    }

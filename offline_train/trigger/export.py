@@ -1,32 +1,27 @@
-"""Write a trained model as the device's JSON: hash, golden vectors, provenance, no wall clock.
+"""Make and write the device's model document: hash, golden vectors, provenance, no wall clock.
 
 The same seed and the same library versions give the same bytes; a time stamp would spoil that, so
 the file has none (the commit that brings it in has one).
 """
 
-import json
 import platform
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any, Dict, Mapping, Optional
 
 import numpy as np
 
-from apex_edge.triggers import weights as device
-from apex_edge.triggers.approach import Pairs, closest
+from apex_edge.triggers import model_file
 from apex_edge.triggers.base import TriggerConfig
-from apex_edge.triggers.features import (
-    FEATURE_NAMES,
-    FEATURE_SET,
-    FEATURE_UNITS,
-    FEATURE_VERSION,
-    edge_features,
-)
+from apex_edge.triggers.features import FEATURE_SET
+from apex_edge.triggers.graph_net import GraphSpec
+from apex_edge.triggers.models import FEATURE_SETS, Columns, FeatureSet
+from apex_edge.triggers.weights import check
 from apex_edge.types import Array
 from offline_train.scenes import tabletop_pairs
 from offline_train.trigger.calibrate import VISIBLE_S, Promise, Threshold
-from offline_train.trigger.estimate import end_covariance
 from offline_train.trigger.fit import LinearFit, sklearn_module
+from offline_train.trigger.golden import with_golden
 from offline_train.trigger.observe import Watching
 
 WATCHING = Watching()
@@ -36,46 +31,94 @@ GATE_KEYS = ("min_speed_m_s", "min_speed_sd", "persist_hits", "persist_frames")
 _DOMAIN = {"distance": False, "closing": True, "speed": False, "sigma": False}
 
 
+@dataclass(frozen=True)
+class Trained:
+    """What a document holds of a trained model.
+
+    ``keys`` are those of its kind; ``columns`` clip and standardise the features of
+    ``feature_set``; ``low``, ``high (k,)`` are the training ranges before clipping.
+    """
+
+    keys: Dict[str, Any]
+    feature_set: FeatureSet
+    columns: Columns
+    low: Array
+    high: Array
+
+
+def linear(fit: LinearFit) -> Trained:
+    """Return what is written of a linear model."""
+    return Trained(
+        keys={"kind": "linear", "weights": fit.weight.tolist(), "bias": fit.bias},
+        feature_set=FEATURE_SETS[FEATURE_SET],
+        columns=Columns(fit.clip_lo, fit.clip_hi, fit.mean, fit.scale),
+        low=fit.low,
+        high=fit.high,
+    )
+
+
+def graph_keys(spec: GraphSpec, layers: Mapping[str, Array], nodes: Columns) -> Dict[str, Any]:
+    """Return the keys of a graph net, for ``Trained.keys``; ``nodes`` standardises its nodes."""
+    return {
+        "kind": "graph",
+        "graph": {
+            **asdict(spec),
+            "layers": {name: array.tolist() for name, array in layers.items()},
+            "node_scaler": _plain(nodes),
+        },
+    }
+
+
 def document(
-    fit: LinearFit,
-    threshold: Threshold,
+    trained: Trained,
+    threshold: Optional[Threshold],
     promise: Promise,
     config: TriggerConfig,
     notes: Dict[str, Any],
 ) -> Dict[str, Any]:
-    """Build all fields of a weights file; ``notes`` holds ``radius_m``, ``seed``, ``metrics``."""
-    low, high = fit.low.tolist(), fit.high.tolist()
-    ranges = {name: [low[i], high[i]] for i, name in enumerate(FEATURE_NAMES)}
+    """Build all fields of a model document, signed.
+
+    ``threshold`` None = not certified yet, and no device will use it. ``notes`` holds ``radius_m``
+    (smallest, largest), ``seed``, ``metrics``, and may hold ``platt`` {a, b}.
+
+    Raises
+    ------
+    WeightsError : the device would not build this model.
+    """
+    low, high = trained.low.tolist(), trained.high.tolist()
+    known = trained.feature_set
+    ranges = {name: [low[i], high[i]] for i, name in enumerate(known.names)}
     domain = {
         name: [ranges[name][0] if both else 0.0, ranges[name][1]] for name, both in _DOMAIN.items()
     }
     domain["radius_m"] = notes["radius_m"]
+    columns = _plain(trained.columns)
     fields: Dict[str, Any] = {
-        "format": device.FORMAT,
-        "format_version": device.FORMAT_VERSION,
-        "kind": "linear",
-        "feature_set": FEATURE_SET,
-        "feature_version": FEATURE_VERSION,
-        "feature_names": list(FEATURE_NAMES),
-        "feature_units": list(FEATURE_UNITS),
+        "format": model_file.FORMAT,
+        "format_version": model_file.FORMAT_VERSION,
+        **trained.keys,
+        "feature_set": known.name,
+        "feature_version": known.version,
+        "feature_names": list(known.names),
+        "feature_units": list(known.units),
         "dims": 2,
         "horizon_s": WATCHING.horizon_s,
         "fps_range": list(WATCHING.fps),
         "windows": list(WATCHING.window),
-        "scaler": {"mean": fit.mean.tolist(), "scale": fit.scale.tolist()},
-        "clip": {"lo": fit.clip_lo.tolist(), "hi": fit.clip_hi.tolist()},
-        "weights": fit.weight.tolist(),
-        "bias": fit.bias,
-        "threshold": _certificate(threshold, promise),
+        "scaler": {key: columns[key] for key in ("mean", "scale")},
+        "clip": {key: columns[key] for key in ("lo", "hi")},
+        "threshold": None if threshold is None else _certificate(threshold, promise),
         "gate": {key: getattr(config, key) for key in GATE_KEYS},
         "training_range": ranges,
         "domain": domain,
         "noise_model": {"kind": "white, per axis", "sd_m": list(WATCHING.noise_m)},
         "provenance": _provenance(notes["seed"]),
         "metrics": notes["metrics"],
-        "golden": golden_vectors(fit),
     }
-    fields["sha256"] = device.digest(fields)
+    if "platt" in notes:
+        fields["platt"] = notes["platt"]
+    fields = with_golden(fields, WATCHING.horizon_s)
+    fields["sha256"] = model_file.digest(fields)
     return fields
 
 
@@ -84,46 +127,15 @@ def write(fields: Dict[str, Any], path: Path) -> None:
 
     Raises
     ------
-    WeightsError : the device would refuse the file.
+    WeightsError : the device would refuse the file, if only its threshold were certified.
+    RecordingError : it cannot be written.
     """
-    text = json.dumps(fields, indent=1, sort_keys=True, allow_nan=False) + "\n"
-    device.check(json.loads(text), str(path))
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="ascii")
-    part.replace(path)
+    check(fields, str(path))
+    model_file.write(fields, path)
 
 
-def golden_vectors(fit: LinearFit) -> List[Dict[str, Any]]:
-    """Return six raw pairs with the features and the logit they must give on every device."""
-    sd = np.array([0.0005, 0.001, 0.002, 0.003, 0.001, 0.0015])
-    window = np.array([20, 10, 5, 7, 15, 12])
-    cov = end_covariance(sd, window, np.full(6, 1.0 / 30.0), order=2)[:, [0, 1, 3, 4]][
-        :, :, [0, 1, 3, 4]
-    ]
-    pairs = Pairs(
-        offset_m=np.array(
-            [[0.3, 0.0], [0.2, 0.1], [-0.15, 0.25], [0.1, -0.3], [0.4, 0.02], [0.06, 0.0]]
-        ),
-        mover_vel_m_s=np.array(
-            [[0.1, 0.0], [0.08, 0.02], [-0.1, 0.1], [0.2, 0.1], [0.2, 0.0], [-0.05, 0.02]]
-        ),
-        target_vel_m_s=np.array(
-            [[0, 0], [0, 0], [0.02, 0.05], [0, 0], [0.0, 0.02], [0, 0]], dtype=float
-        ),
-        decel_m_s2=np.array([0.0, 0.0, 0.0, 0.05, 0.04, 0.0]),
-        radius_m=np.array([0.03, 0.035, 0.04, 0.05, 0.035, 0.03]),
-        cov=2.0 * cov,
-    )
-    features = edge_features(pairs, closest(pairs, WATCHING.horizon_s), WATCHING.horizon_s)
-    logit = fit.logit(features)
-    return [
-        _golden(pairs.take(np.array([row])), features[row], float(logit[row])) for row in range(6)
-    ]
-
-
-def _golden(pair: Pairs, features: Array, logit: float) -> Dict[str, Any]:
-    case = {name: value[0].tolist() for name, value in asdict(pair).items()}
-    return dict(case, horizon_s=WATCHING.horizon_s, features=features.tolist(), logit=logit)
+def _plain(columns: Columns) -> Dict[str, Any]:
+    return {name: array.tolist() for name, array in asdict(columns).items()}
 
 
 def _certificate(threshold: Threshold, promise: Promise) -> Dict[str, Any]:

@@ -54,4 +54,4 @@ def train(
         "seed": seed,
         "metrics": metrics,
     }
-    return export.document(model, threshold, promise, config, notes)
+    return export.document(export.linear(model), threshold, promise, config, notes)

@@ -44,10 +44,7 @@ def run(args: argparse.Namespace) -> int:
         *(max(1, int(args.scale * n)) for n in (usual.train, usual.calibration, usual.test))
     )
     fields = train(args.seed, sizes, Promise(alpha=args.alpha), _progress)
-    try:
-        write(fields, args.out)
-    except OSError as error:
-        raise ApexError(f"{args.out}: cannot write the weights: {error}") from error
+    write(fields, args.out)
     print(json.dumps(fields["metrics"], sort_keys=True) if args.json else _report(fields, args.out))
     return 0
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from apex_edge.triggers.approach import Pairs, closest, early_contact, miss_sd
+from apex_edge.triggers.approach import Pairs, closest, early_contact, first_contact
 from apex_edge.triggers.base import proven_decel
 from apex_edge.triggers.features import FEATURE_NAMES, FEATURE_UNITS, edge_features
 
@@ -21,6 +21,11 @@ def pairs(offset, mover=(0.0, 0.0), target=(0.0, 0.0), radius=0.03, decel=0.0, c
         radius_m=np.broadcast_to(np.asarray(radius, dtype=float), (n,)).copy(),
         cov=np.zeros((n, 2 * d, 2 * d)) if cov is None else np.broadcast_to(cov, (n, 2 * d, 2 * d)),
     )
+
+
+def contact(case, horizon_s=HORIZON_S):
+    """Return the time to contact of each pair."""
+    return first_contact(case, closest(case, horizon_s), horizon_s)
 
 
 def stepped(case, step_s=0.001):
@@ -56,78 +61,84 @@ speed = st.floats(-0.3, 0.3)
 def test_closest_approach_agrees_with_walking_there(offset, mover, target, decel):
     case = pairs(offset, mover, target, decel=decel)
     found = closest(case, HORIZON_S)
+    ttc = contact(case)[0]
     best, _, touch = stepped(case)
     # chords of a slowing path with a moving target are off by up to 1 mm, steps by half of one
     assert found.dca_m[0] == pytest.approx(best, abs=2.5e-3 if decel else 1e-3)
     assert 0.0 <= found.tca_s[0] <= HORIZON_S
     if best < case.radius_m[0] - 3e-3:
-        assert np.isfinite(found.ttc_s[0])
-        assert found.ttc_s[0] <= found.tca_s[0] + 1e-9
+        assert np.isfinite(ttc)
+        assert ttc <= found.tca_s[0] + 1e-9
     if best > case.radius_m[0] + 3e-3:
-        assert found.ttc_s[0] == np.inf
-    if not decel and touch < np.inf and found.ttc_s[0] < np.inf:
-        where = case.offset_m[0] + (case.target_vel_m_s[0] - case.mover_vel_m_s[0]) * found.ttc_s[0]
+        assert ttc == np.inf
+    if not decel and touch < np.inf and ttc < np.inf:
+        where = case.offset_m[0] + (case.target_vel_m_s[0] - case.mover_vel_m_s[0]) * ttc
         gap = np.linalg.norm(where)
-        assert gap == pytest.approx(case.radius_m[0], abs=1e-6) or found.ttc_s[0] == 0.0
+        assert gap == pytest.approx(case.radius_m[0], abs=1e-6) or ttc == 0.0
 
 
 def test_head_on_contact_is_when_the_edges_meet():
-    found = closest(pairs([0.33, 0.0], [0.1, 0.0], radius=0.03), HORIZON_S)
-    assert found.ttc_s[0] == pytest.approx(3.0)
+    case = pairs([0.33, 0.0], [0.1, 0.0], radius=0.03)
+    found = closest(case, HORIZON_S)
+    assert contact(case)[0] == pytest.approx(3.0)
     assert found.dca_m[0] == pytest.approx(0.0, abs=1e-12)
     assert found.tca_s[0] == pytest.approx(3.3)
 
 
 def test_a_ball_that_rolls_out_before_the_target_is_no_hazard():
     # rests after v^2 / 2a = 0.2 m, 0.1 m before the target's edge
-    stops = closest(pairs([0.33, 0.0], [0.2, 0.0], decel=0.1), HORIZON_S)
-    assert stops.ttc_s[0] == np.inf
+    case = pairs([0.33, 0.0], [0.2, 0.0], decel=0.1)
+    stops = closest(case, HORIZON_S)
+    assert contact(case)[0] == np.inf
     assert stops.dca_m[0] == pytest.approx(0.13)
     assert stops.tca_s[0] == pytest.approx(2.0)
-    assert np.isfinite(closest(pairs([0.33, 0.0], [0.2, 0.0]), HORIZON_S).ttc_s[0])
+    assert np.isfinite(contact(pairs([0.33, 0.0], [0.2, 0.0]))[0])
 
 
 def test_a_slowing_ball_arrives_later_than_a_steady_one_but_at_the_true_time():
     # 0.3 m = 0.2 t - 0.025 t^2 at t = 2 s
-    found = closest(pairs([0.33, 0.0], [0.2, 0.0], decel=0.05), HORIZON_S)
-    assert found.ttc_s[0] == pytest.approx(2.0, abs=0.01)
+    assert contact(pairs([0.33, 0.0], [0.2, 0.0], decel=0.05))[0] == pytest.approx(2.0, abs=0.01)
 
 
 def test_a_target_runs_into_a_mover_that_came_to_rest():
     # the mover rests after 0.05 m; the target covers the other 0.32 m at 0.05 m/s
     case = pairs([0.4, 0.0], [0.1, 0.0], [-0.05, 0.0], decel=0.1)
-    assert closest(case, HORIZON_S).ttc_s[0] == np.inf
-    assert closest(case, 8.0).ttc_s[0] == pytest.approx(6.4)
+    assert contact(case)[0] == np.inf
+    assert contact(case, 8.0)[0] == pytest.approx(6.4)
 
 
 @pytest.mark.parametrize("offset", [[0.0, 0.0], [0.02, 0.0]])
 def test_what_touches_now_has_no_time_left(offset):
-    assert closest(pairs(offset), HORIZON_S).ttc_s[0] == 0.0
+    assert contact(pairs(offset))[0] == 0.0
 
 
 def test_nothing_moving_means_no_contact_and_no_warning():
-    found = closest(pairs([[0.2, 0.0], [0.0, 0.0]]), HORIZON_S)
-    assert found.ttc_s.tolist() == [np.inf, 0.0]
-    assert found.tca_s.tolist() == [0.0, 0.0]
+    case = pairs([[0.2, 0.0], [0.0, 0.0]])
+    assert contact(case).tolist() == [np.inf, 0.0]
+    assert closest(case, HORIZON_S).tca_s.tolist() == [0.0, 0.0]
 
 
 def test_a_row_that_is_not_a_number_harms_no_other_row():
+    case = pairs([[np.nan, 0.0], [0.33, 0.0]], [0.1, 0.0])
     with np.errstate(all="raise", invalid="ignore"):
-        found = closest(pairs([[np.nan, 0.0], [0.33, 0.0]], [0.1, 0.0]), HORIZON_S)
+        found, ttc = closest(case, HORIZON_S), contact(case)
     assert np.isnan(found.dca_m[0])
-    assert found.ttc_s[0] == np.inf
-    assert found.ttc_s[1] == pytest.approx(3.0)
+    assert ttc[0] == np.inf
+    assert ttc[1] == pytest.approx(3.0)
 
 
 def test_no_pairs_give_no_answers():
-    found = closest(pairs(np.zeros((0, 2))), HORIZON_S)
-    assert found.dca_m.shape == found.ttc_s.shape == (0,)
+    case = pairs(np.zeros((0, 2)))
+    found = closest(case, HORIZON_S)
+    assert found.dca_m.shape == contact(case).shape == (0,)
+    assert early_contact(case, found, HORIZON_S).shape == (0,)
+    assert edge_features(case, found, HORIZON_S).shape == (0, 12)
 
 
 def test_geometry_holds_in_three_dimensions():
-    found = closest(pairs([0.3, 0.0, 0.04], [0.1, 0.0, 0.0], (0.0, 0.0, 0.0)), HORIZON_S)
-    assert found.dca_m[0] == pytest.approx(0.04)
-    assert found.ttc_s[0] == np.inf
+    case = pairs([0.3, 0.0, 0.04], [0.1, 0.0, 0.0], (0.0, 0.0, 0.0))
+    assert closest(case, HORIZON_S).dca_m[0] == pytest.approx(0.04)
+    assert contact(case)[0] == np.inf
 
 
 def noisy(n=20000):
@@ -143,11 +154,10 @@ def noisy(n=20000):
 def test_the_sd_of_the_miss_agrees_with_monte_carlo():
     cov, draws = noisy()
     believed = pairs([0.3, 0.02], [0.1, 0.0], cov=cov)
-    tca = closest(believed, HORIZON_S).tca_s
     true = pairs(believed.offset_m[0] + draws[:, :2], believed.mover_vel_m_s[0] - draws[:, 2:])
     heading = true.mover_vel_m_s / np.linalg.norm(true.mover_vel_m_s, axis=1, keepdims=True)
     miss = heading[:, 0] * true.offset_m[:, 1] - heading[:, 1] * true.offset_m[:, 0]
-    assert miss_sd(believed, tca)[0] == pytest.approx(miss.std(), rel=0.03)
+    assert closest(believed, HORIZON_S).miss_sd_m[0] == pytest.approx(miss.std(), rel=0.03)
 
 
 @pytest.mark.parametrize("lateral", [0.0, 0.02])
@@ -156,7 +166,7 @@ def test_contact_is_earlier_than_the_pessimistic_time_in_few_cases(lateral):
     believed = pairs([0.3, lateral], [0.1, 0.0], cov=cov)
     early = early_contact(believed, closest(believed, HORIZON_S), HORIZON_S)[0]
     true = pairs(believed.offset_m[0] + draws[:, :2], believed.mover_vel_m_s[0] - draws[:, 2:])
-    ttc = closest(true, HORIZON_S).ttc_s
+    ttc = contact(true)
     assert np.mean(ttc < early) < 0.05
     # pessimistic, but not by more than a few sd of the arrival time
     assert early > 0.7 * np.median(ttc[np.isfinite(ttc)])

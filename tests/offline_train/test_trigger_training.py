@@ -172,12 +172,13 @@ def test_the_device_gives_the_probability_of_the_file(tmp_path):
 
     model = weights.load(weights.SHIPPED)
     fields = json.loads(weights.SHIPPED.read_text(encoding="utf-8"))
-    features = np.array([case["features"] for case in fields["golden"]])
+    features = np.concatenate([case["features"] for case in fields["golden"]])
     inner = pytest.importorskip("sklearn.linear_model").LogisticRegression()
     inner.classes_ = np.array([False, True])
     inner.coef_, inner.intercept_ = model.weight[None], np.array([model.bias])
-    clipped = np.clip(features, model.clip_lo, model.clip_hi)
-    expected = inner.predict_proba((clipped - model.mean) / model.scale)[:, 1]
+    columns = model.columns
+    clipped = np.clip(features, columns.lo, columns.hi)
+    expected = inner.predict_proba((clipped - columns.mean) / columns.scale)[:, 1]
     found = 0.5 * (1.0 + np.tanh(0.5 * LinearTrigger().weights.logit(features)))
     assert np.max(np.abs(found - expected)) < 1e-12
 

@@ -1,0 +1,161 @@
+"""The trained models of the device: features in, logits and domain out. No files here.
+
+Source: ours.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, NamedTuple, Tuple, Union
+
+import numpy as np
+
+from apex_edge.triggers.approach import Approach, Pairs
+from apex_edge.triggers.features import (
+    FEATURE_NAMES,
+    FEATURE_SET,
+    FEATURE_UNITS,
+    FEATURE_VERSION,
+    edge_features,
+)
+from apex_edge.triggers.graph_net import GraphNet
+from apex_edge.triggers.stars import nodes_as, stars
+from apex_edge.types import Array
+
+
+class FeatureSet(NamedTuple):
+    """A named set of pair features, and how they are computed from (pairs, approach, horizon)."""
+
+    name: str
+    version: int
+    names: Tuple[str, ...]
+    units: Tuple[str, ...]
+    compute: Callable[[Pairs, Approach, float], Array]
+
+
+FEATURE_SETS = {
+    FEATURE_SET: FeatureSet(
+        FEATURE_SET, FEATURE_VERSION, FEATURE_NAMES, FEATURE_UNITS, edge_features
+    )
+}
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Clip and standardise: ``(clip(x, lo, hi) - mean) / scale``; arrays (k,)."""
+
+    lo: Array
+    hi: Array
+    mean: Array
+    scale: Array
+
+    def clipped(self, values: Array) -> Array:
+        """Return the values (m, k) within ``lo`` and ``hi``; NaN stays NaN."""
+        # np.clip takes three times as long on a few rows.
+        limited: Array = np.minimum(np.maximum(values, self.lo), self.hi)
+        return limited
+
+    def __call__(self, values: Array) -> Array:
+        """Return the standardised values (m, k)."""
+        standard: Array = (self.clipped(values) - self.mean) / self.scale
+        return standard
+
+
+class Domain:
+    """What the training covered: ``ranges`` of features and of ``radius_m``; the rest is free.
+
+    Parameters
+    ----------
+    ranges : lowest and highest value by name.
+    names : of the k features.
+    min_samples : shortest window trained on.
+    """
+
+    def __init__(
+        self, ranges: Dict[str, Tuple[float, float]], names: Tuple[str, ...], min_samples: int
+    ) -> None:
+        self.ranges = ranges
+        self.min_samples = min_samples
+        # As rows: one comparison for all columns in place of one for each.
+        free = (-np.inf, np.inf)
+        self._low, self._high = np.array([ranges.get(name, free) for name in names]).T
+        self._radius_m = ranges.get("radius_m", free)
+
+    def holds(self, features: Array, radius_m: Array, n_samples: Array) -> Array:
+        """Say which pairs (m,) lie inside, by ``features (m, k)``; NaN does not."""
+        is_low, is_high = features >= self._low, features <= self._high
+        inside: Array = np.logical_and.reduce(is_low & is_high, axis=1)
+        inside &= n_samples >= self.min_samples
+        inside &= (radius_m >= self._radius_m[0]) & (radius_m <= self._radius_m[1])
+        return inside
+
+
+@dataclass(frozen=True)
+class TriggerModel:
+    """What every trained model has; ``columns`` are those of ``feature_set``.
+
+    ``threshold`` is a logit; NaN when nothing has certified one yet, and then nothing fires.
+    ``training_range`` maps every feature to the range seen in training. ``certificate`` and
+    ``gate`` say what recall was certified, and under which gate and vote.
+    ``platt`` (a, b): the probability is sigmoid(a * logit + b).
+    """
+
+    feature_set: FeatureSet
+    horizon_s: float
+    columns: Columns
+    threshold: float
+    domain: Domain
+    training_range: Dict[str, Tuple[float, float]]
+    certificate: Dict[str, Any]
+    gate: Dict[str, Any]
+    platt: Tuple[float, float]
+
+    @property
+    def min_samples(self) -> int:
+        """Return the shortest window trained on."""
+        return self.domain.min_samples
+
+    def is_in_domain(self, features: Array, radius_m: Array, n_samples: Array) -> Array:
+        """Say which pairs (m,) lie inside what the training covered."""
+        return self.domain.holds(features, radius_m, n_samples)
+
+    def probability(self, logit: Array) -> Array:
+        """Return the calibrated probability (m,) of contact."""
+        slope, offset = self.platt
+        chance: Array = 0.5 * (1.0 + np.tanh(0.5 * (slope * logit + offset)))
+        return chance
+
+
+@dataclass(frozen=True)
+class LinearWeights(TriggerModel):
+    """A linear model: ``logit = columns(x) @ weight + bias``; ``weight (k,)``."""
+
+    weight: Array
+    bias: float
+
+    def logit(self, features: Array) -> Array:
+        """Return the logit (m,) of features (m, k)."""
+        result: Array = self.columns(features) @ self.weight + self.bias
+        return result
+
+
+@dataclass(frozen=True)
+class GraphWeights(TriggerModel):
+    """A graph net over stars; ``node_columns`` are those of ``net.spec.node_names``."""
+
+    net: GraphNet
+    node_columns: Columns
+
+    def logit(self, features: Array, pairs: Pairs, mover: Array) -> Array:
+        """Return the logit (m,) of the pairs of one frame, all stars in one batch.
+
+        Parameters
+        ----------
+        features : (m, k) of the pairs.
+        pairs : m pairs.
+        mover : (m,) identity of each pair's mover.
+        """
+        found = stars(pairs, mover)
+        nodes = self.node_columns(nodes_as(found.nodes, self.net.spec.node_names))
+        return self.net.logits(nodes, found.edges, self.columns(features))
+
+
+Model = Union[LinearWeights, GraphWeights]
