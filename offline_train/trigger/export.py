@@ -13,9 +13,10 @@ import numpy as np
 
 from apex_edge.triggers import model_file
 from apex_edge.triggers.base import TriggerConfig
+from apex_edge.triggers.feature_sets import FEATURE_SETS, FeatureSet
 from apex_edge.triggers.features import FEATURE_SET
 from apex_edge.triggers.graph_net import GraphSpec
-from apex_edge.triggers.models import FEATURE_SETS, Columns, FeatureSet
+from apex_edge.triggers.models import Columns
 from apex_edge.triggers.weights import check
 from apex_edge.types import Array
 from offline_train.scenes import tabletop_pairs

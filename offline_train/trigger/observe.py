@@ -303,5 +303,7 @@ def _as_tracks(
         is_manoeuvre=np.zeros(n, dtype=bool),
         is_blurred=np.zeros(n, dtype=bool),
         smooth_m=position,
+        seen_m=np.full((n, 3), np.nan),
+        seen_sd_m=np.full(n, np.nan),
     )
     return tracks, truth.frame_s[owner]
