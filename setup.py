@@ -27,7 +27,7 @@ setup(
         "apex_edge": ["py.typed", "data/*", "web/static/*"],
         "firmware_bridge": ["py.typed", "arms/*.toml"],
         "calib": ["py.typed"],
-        "offline_train": ["py.typed"],
+        "offline_train": ["py.typed", "data/*.npz"],
     },
     install_requires=[
         "numpy>=1.19,<3",
@@ -132,11 +132,22 @@ setup(
             "firmware = offline_train.benchmarks.firmware.verb",
             "trigger = offline_train.benchmarks.trigger.verb",
         ],
+        "apex_edge.graph_models": [
+            "diffgraphormer = offline_train.graph_models.models:diffgraphormer",
+            "diffgat = offline_train.graph_models.models:diffgat",
+            "diffgcn = offline_train.graph_models.models:diffgcn",
+        ],
         "apex_edge.scenarios": [
             "tabletop-pairs = offline_train.scenes.tabletop_pairs",
+            "tabletop-cv = offline_train.scenes.tabletop_cv",
+            "committed = offline_train.scenes.committed",
         ],
         "apex_edge.trainings": [
+            "generate = offline_train.verbs.generate",
+            "fit = offline_train.verbs.fit",
             "trigger = offline_train.verbs.trigger",
+            "evaluate = offline_train.verbs.evaluate",
+            "export = offline_train.verbs.export",
             "verify = offline_train.verbs.verify",
         ],
         "apex_edge.arm_actions": [

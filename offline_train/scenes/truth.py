@@ -50,19 +50,33 @@ def scenario(name: str) -> Any:
 def first_contact(
     place: Callable[[Array], Tuple[Array, Array]], radius_m: Array, until_s: float
 ) -> Array:
-    """Return the first time (n,) at which two bodies touch, by stepping 10 ms; inf when never.
+    """Return the first time (n,) at which two bodies touch, inf when never; see ``passing``."""
+    return passing(place, radius_m, until_s)[0]
+
+
+def passing(
+    place: Callable[[Array], Tuple[Array, Array]], radius_m: Array, until_s: float
+) -> Tuple[Array, Array]:
+    """Follow pairs of bodies in steps of 10 ms.
 
     Parameters
     ----------
     place : maps times (n, c) to the positions of both bodies, (n, c, 2) each.
     radius_m : (n,) of both together.
+
+    Returns
+    -------
+    The first time (n,) at which they touch, inf when never, and the smallest distance (n,) between
+    their centres in metres.
     """
     times = np.arange(0.0, until_s + _STEP_S, _STEP_S)
-    found = np.full(len(radius_m), np.inf)
+    found, nearest = np.full(len(radius_m), np.inf), np.full(len(radius_m), np.inf)
     for first in range(0, len(times), _CHUNK):
         span = times[first : first + _CHUNK]
         one, other = place(np.broadcast_to(span, (len(found), len(span))))
-        is_in = np.linalg.norm(one - other, axis=2) <= radius_m[:, None]
+        gap = np.linalg.norm(one - other, axis=2)
+        is_in = gap <= radius_m[:, None]
         hit = np.where(is_in.any(axis=1), span[np.argmax(is_in, axis=1)], np.inf)
         found = np.minimum(found, hit)
-    return found
+        nearest = np.minimum(nearest, gap.min(axis=1))
+    return found, nearest

@@ -2,7 +2,7 @@
 
 import importlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Sequence
 
 import numpy as np
 
@@ -68,15 +68,29 @@ def sklearn_module(name: str) -> Any:
 def fit(train: Observed, seed: int) -> LinearFit:
     """Fit without class weights, so that the probability means what it says."""
     rows = thin(train.pair, ROWS_PER_PAIR, seed)
-    features, label = train.features[rows], train.label[rows]
+    return fit_rows(train.features[rows], train.label[rows], FEATURE_NAMES)
+
+
+def fit_rows(
+    features: Array, label: Array, names: Sequence[str], solver: str = "lbfgs"
+) -> LinearFit:
+    """Fit to rows (m, k) whose columns have these names, all of them with the same weight.
+
+    ``solver`` is scikit-learn's; on many columns that are much alike "newton-cholesky" takes a
+    tenth of the time.
+    """
     clip_lo, clip_hi = features.min(axis=0), features.max(axis=0)
     for name in ("z", "reach", "z_pos", "reach_pos"):
-        column = FEATURE_NAMES.index(name)
-        clip_lo[column] = max(clip_lo[column], -_LIMIT_SD)
-        clip_hi[column] = min(clip_hi[column], _LIMIT_SD)
+        if name in names:
+            column = names.index(name)
+            clip_lo[column] = max(clip_lo[column], -_LIMIT_SD)
+            clip_hi[column] = min(clip_hi[column], _LIMIT_SD)
     clipped = np.clip(features, clip_lo, clip_hi)
     mean, scale = clipped.mean(axis=0), clipped.std(axis=0)
-    model = sklearn_module("sklearn.linear_model").LogisticRegression(max_iter=5000, tol=1e-8)
+    # A column that never changes says nothing.
+    scale = np.where(scale > 0.0, scale, 1.0)
+    linear = sklearn_module("sklearn.linear_model")
+    model = linear.LogisticRegression(solver=solver, max_iter=5000, tol=1e-8)
     model.fit((clipped - mean) / scale, label)
     return LinearFit(
         clip_lo=clip_lo,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Dict, Tuple
 
 from apex_edge.errors import ApexError
+from offline_train.reports.tables import number
 from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.export import write
 from offline_train.trigger.pipeline import Sizes, train
@@ -66,11 +67,11 @@ def _progress(text: str) -> None:
 
 def _report(fields: Dict[str, Any], out: Path) -> str:
     promise = fields["threshold"]
-    lines = [_row("rule", ("recall", "neg. frames", "false scenes", "PR", "ROC"))]
-    for name in ("linear", "analytic", "speed"):
-        row = fields["metrics"][name]
-        keys = ("recall", "negative_frames", "false_scenes", "pr_auc", "roc_auc")
-        lines.append(_row(name, tuple(f"{row[key]:.3f}" for key in keys)))
+    lines = [_row("rule", ("recall", "neg. frames", "harmless", "PR", "ROC"))]
+    (tested,) = fields["metrics"].values()
+    for name, row in tested["rules"].items():
+        keys = ("recall", "negative_frames", "harmless_tracks", "pr_auc", "roc_auc")
+        lines.append(_row(name, tuple(number(row[key]) for key in keys)))
     n_late = promise["n_contacts"] - promise["n_pos"]
     lines.append(
         f"certified: recall >= {1 - promise['alpha']:.3f} at {promise['confidence']:.0%} "
@@ -82,4 +83,4 @@ def _report(fields: Dict[str, Any], out: Path) -> str:
 
 
 def _row(name: str, cells: Tuple[str, ...]) -> str:
-    return f"{name:9s}" + "".join(f"{cell:>14s}" for cell in cells)
+    return f"{name:11s}" + "".join(f"{cell:>14s}" for cell in cells)

@@ -1,0 +1,97 @@
+"""Distillation: a small model learns what a large one, or the simulated truth, says of each pair.
+
+The student is fitted with soft cross-entropy, so it takes over the teacher's doubt and its
+probability still means what it says. It goes both ways: a graph model can teach the linear one,
+and the linear one can label data for a graph model. Source: ours; the paper names the two models
+and not how one could become the other.
+"""
+
+from dataclasses import replace
+from typing import Sequence
+
+import numpy as np
+
+from apex_edge.errors import ApexError
+from apex_edge.types import Array
+from offline_train.graph_models.batches import Graphs
+from offline_train.trigger.fit import LinearFit, sklearn_module
+from offline_train.trigger.scaling import fitted
+
+
+def soft_target(teacher: Array, truth: Array, mix_truth: float) -> Array:
+    """Return what the student is to say (r,): the teacher's probability mixed with the truth.
+
+    Parameters
+    ----------
+    teacher : (r,) probability in [0, 1].
+    truth : (r,) bool, or a probability.
+    mix_truth : share of the truth; 0 = the teacher alone, 1 = the truth alone.
+
+    Raises
+    ------
+    ApexError : a share or a probability outside [0, 1], or arrays of unequal length.
+    """
+    if not 0.0 <= mix_truth <= 1.0:
+        raise ApexError(f"share of truth {mix_truth}: must lie between 0 and 1")
+    if len(teacher) != len(truth):
+        raise ApexError(f"{len(teacher)} rows have a teacher but {len(truth)} a truth")
+    target: Array = (1.0 - mix_truth) * teacher + mix_truth * truth.astype(np.float64)
+    if not np.all((target >= 0.0) & (target <= 1.0)):
+        raise ApexError("the teacher must give probabilities between 0 and 1")
+    return target
+
+
+def linear_student(features: Array, names: Sequence[str], target: Array) -> LinearFit:
+    """Fit logistic regression to soft targets.
+
+    Each row counts as a positive with the weight of its target and as a negative with the rest.
+
+    Parameters
+    ----------
+    features : (r, k), named by ``names``.
+    target : (r,) in [0, 1]; hard labels are the special case.
+
+    Raises
+    ------
+    MissingExtraError : scikit-learn is not installed.
+    ApexError : the targets are all 0 or all 1.
+    """
+    target = target.astype(np.float64)
+    scaler = fitted(features, names)
+    scaled = scaler.apply(features)
+    weight = np.concatenate([target, 1.0 - target])
+    label = np.repeat([1, 0], len(target))
+    counts = weight > 0.0
+    if len(np.unique(label[counts])) < 2:
+        raise ApexError("the targets are all alike: there is nothing to tell apart")
+    model = sklearn_module("sklearn.linear_model").LogisticRegression(max_iter=5000, tol=1e-8)
+    rows = np.tile(np.arange(len(target)), 2)[counts]
+    model.fit(scaled[rows], label[counts], sample_weight=weight[counts])
+    return LinearFit(
+        clip_lo=scaler.lo,
+        clip_hi=scaler.hi,
+        mean=scaler.mean,
+        scale=scaler.scale,
+        weight=model.coef_[0],
+        bias=float(model.intercept_[0]),
+        low=features.min(axis=0),
+        high=features.max(axis=0),
+    )
+
+
+def probability(logit: Array) -> Array:
+    """Return the probability (r,) of logits (r,)."""
+    said: Array = 0.5 * (1.0 + np.tanh(0.5 * logit))
+    return said
+
+
+def pseudo_labelled(graphs: Graphs, target: Array) -> Graphs:
+    """Return the graphs with what a teacher says of each edge (R,) as their soft labels.
+
+    Raises
+    ------
+    ApexError : not one target per edge.
+    """
+    if target.shape != graphs.labels.shape:
+        raise ApexError(f"{len(target)} targets for {len(graphs.labels)} edges")
+    return replace(graphs, labels=target)
