@@ -145,6 +145,7 @@ setup(
         "apex_edge.trainings": [
             "generate = offline_train.verbs.generate",
             "fit = offline_train.verbs.fit",
+            "distill = offline_train.verbs.distill",
             "trigger = offline_train.verbs.trigger",
             "evaluate = offline_train.verbs.evaluate",
             "export = offline_train.verbs.export",

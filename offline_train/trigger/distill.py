@@ -57,8 +57,8 @@ def linear_student(features: Array, names: Sequence[str], target: Array) -> Line
     ApexError : the targets are all 0 or all 1.
     """
     target = target.astype(np.float64)
-    scaler = fitted(features, names)
-    scaled = scaler.apply(features)
+    columns = fitted(features, names)
+    scaled = columns(features)
     weight = np.concatenate([target, 1.0 - target])
     label = np.repeat([1, 0], len(target))
     counts = weight > 0.0
@@ -68,10 +68,10 @@ def linear_student(features: Array, names: Sequence[str], target: Array) -> Line
     rows = np.tile(np.arange(len(target)), 2)[counts]
     model.fit(scaled[rows], label[counts], sample_weight=weight[counts])
     return LinearFit(
-        clip_lo=scaler.lo,
-        clip_hi=scaler.hi,
-        mean=scaler.mean,
-        scale=scaler.scale,
+        clip_lo=columns.lo,
+        clip_hi=columns.hi,
+        mean=columns.mean,
+        scale=columns.scale,
         weight=model.coef_[0],
         bias=float(model.intercept_[0]),
         low=features.min(axis=0),

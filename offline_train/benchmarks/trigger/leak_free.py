@@ -7,7 +7,7 @@ answer itself: the suite shows what inputs are worth, not how a model bears nois
 """
 
 import dataclasses
-from typing import Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, List, Tuple
 
 import numpy as np
 
@@ -133,5 +133,5 @@ def compared(test: star.StarSet, scores: Dict[str, Array]) -> List[Line]:
     return lines
 
 
-def _maker(models: object, spec: GraphSpec) -> Callable[[], object]:
+def _maker(models: Any, spec: GraphSpec) -> Callable[[], Any]:
     return lambda: models.from_spec(spec, _DROPOUT)
