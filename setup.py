@@ -139,6 +139,7 @@ setup(
         ],
         "apex_edge.scenarios": [
             "tabletop-pairs = offline_train.scenes.tabletop_pairs",
+            "mujoco = offline_train.scenes.mujoco_table",
             "tabletop-cv = offline_train.scenes.tabletop_cv",
             "committed = offline_train.scenes.committed",
         ],
@@ -147,6 +148,8 @@ setup(
             "fit = offline_train.verbs.fit",
             "distill = offline_train.verbs.distill",
             "trigger = offline_train.verbs.trigger",
+            "calibrate = offline_train.verbs.calibrate",
+            "recalibrate = offline_train.verbs.recalibrate",
             "evaluate = offline_train.verbs.evaluate",
             "export = offline_train.verbs.export",
             "verify = offline_train.verbs.verify",

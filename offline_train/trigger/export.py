@@ -110,7 +110,7 @@ def document(
         "windows": list(watching.window),
         "scaler": {key: columns[key] for key in ("mean", "scale")},
         "clip": {key: columns[key] for key in ("lo", "hi")},
-        "threshold": None if threshold is None else _certificate(threshold, promise),
+        "threshold": None if threshold is None else certificate(threshold, promise),
         "gate": {key: getattr(config, key) for key in GATE_KEYS},
         "training_range": ranges,
         "domain": domain,
@@ -141,7 +141,8 @@ def _plain(columns: Columns) -> Dict[str, Any]:
     return {name: array.tolist() for name, array in asdict(columns).items()}
 
 
-def _certificate(threshold: Threshold, promise: Promise) -> Dict[str, Any]:
+def certificate(threshold: Threshold, promise: Promise) -> Dict[str, Any]:
+    """Return what a document says of a certified threshold."""
     return {
         "logit": threshold.logit,
         "alpha": promise.alpha,

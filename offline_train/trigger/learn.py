@@ -22,8 +22,7 @@ from offline_train.scenes.star import RISK_TAU
 from offline_train.trigger import baselines, export
 from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.data import Description
-from offline_train.trigger.distill import linear_student
-from offline_train.trigger.fit import ROWS_PER_PAIR, thin
+from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, thin
 from offline_train.trigger.observe import Observed
 from offline_train.trigger.scaling import fitted
 
@@ -82,7 +81,7 @@ def fit(
     """
     if name == LINEAR:
         rows = thin(seen.pair, ROWS_PER_PAIR, seed)
-        return export.linear(linear_student(seen.features[rows], FEATURE_NAMES, target[rows]))
+        return export.linear(fit_rows(seen.features[rows], target[rows], FEATURE_NAMES))
     if name == CEILING:
         raise ApexError(
             f"{name}: no device runs boosted trees; apex train evaluate sets them beside a model"

@@ -110,9 +110,7 @@ def _behind_gate(setting: Setting, model: LinearFit, seen: Observed) -> List[Lin
     ]
 
 
-def _calibration(
-    setting: Setting, brier: float, model: LinearFit, seen: Observed
-) -> List[Line]:
+def _calibration(setting: Setting, brier: float, model: LinearFit, seen: Observed) -> List[Line]:
     probability = 0.5 * (1.0 + np.tanh(0.5 * model.logit(seen.features)))
     found = metrics.probability_figures(seen.label, probability)
     return [
