@@ -65,18 +65,24 @@ def sklearn_module(name: str) -> Any:
         ) from error
 
 
-def fit(train: Observed, seed: int) -> LinearFit:
-    """Fit without class weights, so that the probability means what it says."""
+def fit(
+    train: Observed, seed: int, strength: float = 1.0, limit_sd: float = _LIMIT_SD
+) -> LinearFit:
+    """Fit without class weights, so that the probability means what it says.
+
+    ``strength`` is C, the inverse of the regularisation; ``limit_sd`` clips z and reach.
+    """
     rows = thin(train.scene, ROWS_PER_SCENE, seed)
     features, label = train.features[rows], train.label[rows]
     clip_lo, clip_hi = features.min(axis=0), features.max(axis=0)
     for name in ("z", "reach", "z_pos", "reach_pos"):
         column = FEATURE_NAMES.index(name)
-        clip_lo[column] = max(clip_lo[column], -_LIMIT_SD)
-        clip_hi[column] = min(clip_hi[column], _LIMIT_SD)
+        clip_lo[column] = max(clip_lo[column], -limit_sd)
+        clip_hi[column] = min(clip_hi[column], limit_sd)
     clipped = np.clip(features, clip_lo, clip_hi)
     mean, scale = clipped.mean(axis=0), clipped.std(axis=0)
-    model = sklearn_module("sklearn.linear_model").LogisticRegression(max_iter=5000, tol=1e-8)
+    linear = sklearn_module("sklearn.linear_model")
+    model = linear.LogisticRegression(C=strength, max_iter=5000, tol=1e-8)
     model.fit((clipped - mean) / scale, label)
     return LinearFit(
         clip_lo=clip_lo,

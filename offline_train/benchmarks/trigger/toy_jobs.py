@@ -6,6 +6,7 @@ that were started here are.
 
 import argparse
 import json
+import logging
 import os
 import resource
 import signal
@@ -29,6 +30,7 @@ N_ITEMS = 24
 SLEEP_S = 0.05
 N_BEFORE = 10
 """Shards that are there before something is killed."""
+POISON = {3: "raises", 5: "kills"}
 _SIDE = 120
 _PATIENCE_S = 100.0
 
@@ -225,7 +227,7 @@ def kill_the_driver(scratch: Path, seed: int) -> Found:
     return stage.found()
 
 
-def truncate_a_shard(scratch: Path, seed: int) -> Found:
+def damage_shards(scratch: Path, seed: int) -> Found:
     """Cut one shard of a finished job, and flip a bit of another; run again."""
     stage = Stage(scratch, seed)
     stage.run()
@@ -234,14 +236,22 @@ def truncate_a_shard(scratch: Path, seed: int) -> Found:
     data = bytearray(stage.path(7).read_bytes())
     data[500] ^= 1
     stage.path(7).write_bytes(bytes(data))
+    stage.run(1)
+    return stage.found()
+
+
+def run_poison(scratch: Path, seed: int) -> Found:
+    """Run a job with an item that raises and one that kills its worker."""
+    stage = Stage(scratch, seed, POISON)
     stage.run()
     return stage.found()
 
 
-def run_poison(scratch: Path, seed: int, *more: str) -> Found:
-    """Run a job with an item that raises and one that kills its worker."""
-    stage = Stage(scratch, seed, {3: "raises", 5: "kills"})
-    stage.run(2, *more)
+def run_poison_on_dask(scratch: Path, seed: int) -> Found:
+    """Run the same on a dask cluster, which tries an item on four workers before it gives up."""
+    stage = Stage(scratch, seed, POISON)
+    with dask_cluster(stage.log) as address:
+        stage.run(1, "--scheduler", address)
     return stage.found()
 
 
@@ -282,14 +292,16 @@ def kill_a_dask_worker(scratch: Path, seed: int) -> Found:
 def dask_cluster(log: Path) -> Iterator[str]:
     """Give the address of a scheduler on 127.0.0.1 with two worker processes."""
     distributed = jobs.module("distributed", "distributed")
+    # a worker's death, which is the point, would fill the screen
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with distributed.LocalCluster(
         n_workers=2,
         threads_per_worker=1,
         processes=True,
         host="127.0.0.1",
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",
         env={LOG_VARIABLE: str(log)},
-        silence_logs=50,
+        silence_logs=logging.CRITICAL,
     ) as cluster:
         yield str(cluster.scheduler_address)
 
