@@ -14,8 +14,9 @@ from typing import Any, Callable, Dict, List
 
 import numpy as np
 
+from offline_train.extras import module
 from offline_train.job_key import JobError
-from offline_train.jobs import MAX_IDLE_ROUNDS, module
+from offline_train.jobs import MAX_IDLE_ROUNDS
 
 Objective = Callable[[Any], float]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from offline_train.jobs import module
+from offline_train.extras import module
 from offline_train.sweep import Plan, sweep
 
 N_TRIALS = 12
