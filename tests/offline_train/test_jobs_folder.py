@@ -1,4 +1,4 @@
-"""A full disk, and two drivers in one folder."""
+"""A full disk, two drivers in one folder, and Ctrl-C."""
 
 import pytest
 
@@ -18,3 +18,11 @@ def test_two_drivers_at_once_tear_no_file(tmp_path):
     found = toy_jobs.race_two_drivers(tmp_path, 3)
     assert (found.n_different, found.n_lost, found.n_torn) == (0, 0, 0), found.said
     assert found.exit_codes == (0, 0)
+
+
+def test_ctrl_c_leaves_whole_files_and_the_next_run_goes_on(tmp_path):
+    found = toy_jobs.interrupt_the_driver(tmp_path, 3)
+    assert (found.n_different, found.n_lost, found.n_torn, found.n_again) == (0, 0, 0, 0), (
+        found.said
+    )
+    assert found.exit_codes == (-2, 0)

@@ -53,6 +53,7 @@ def _lines(what: str, found: Found, codes: Sequence[int]) -> List[Line]:
         at_most(_SUITE, f"{what}: shards lost", found.n_lost, 0),
         at_most(_SUITE, f"{what}: files torn or left over", found.n_torn, 0),
         at_most(_SUITE, f"{what}: wrong exit codes", n_wrong, 0),
+        note(_SUITE, f"{what}: items listed as failed", found.n_failed),
         note(_SUITE, f"{what}: calls for {found.n_items} items", found.n_calls),
         note(_SUITE, f"{what}: s", found.took_s),
     ]

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Set
 
@@ -232,6 +232,18 @@ def kill_the_driver(scratch: Path, seed: int) -> Found:
     return stage.found()
 
 
+def interrupt_the_driver(scratch: Path, seed: int) -> Found:
+    """Interrupt the driver as Ctrl-C does, and run again."""
+    stage = Stage(scratch, seed)
+    driver = stage.start()
+    stage.wait(lambda: len(stage.whole()) >= N_BEFORE)
+    driver.send_signal(signal.SIGINT)
+    stage.end(driver)
+    n_torn = stage.n_torn()
+    stage.run()
+    return stage.found(n_torn)
+
+
 def damage_shards(scratch: Path, seed: int) -> Found:
     """Cut one shard of a finished job, and flip a bit of another; run again."""
     stage = Stage(scratch, seed)
@@ -339,4 +351,5 @@ def main() -> None:
     except ApexError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+    print(json.dumps(asdict(summary)))
     sys.exit(summary.exit_code)
