@@ -7,8 +7,8 @@ from apex_edge.triggers.base import TriggerConfig
 from apex_edge.triggers.features import FEATURE_NAMES
 from offline_train.scenes import mujoco_world
 from offline_train.trigger import seeds, soft
-from offline_train.trigger.evaluate import calibration_error
 from offline_train.trigger.fit import fit_rows, thin
+from offline_train.trigger.metrics import calibration_error
 from offline_train.trigger.observe import Watching, observe
 
 pytest.importorskip("mujoco")
