@@ -346,12 +346,14 @@ def _dask(address: str) -> Iterator[Engine]:
         alive_s = time.monotonic()
         while index_of:
             batch = ended.next_batch(block=False)
-            if batch or client.ncores():
+            if batch or _has_workers(client, address):
                 alive_s = time.monotonic()
             elif time.monotonic() - alive_s > NO_WORKERS_S:
                 raise JobError(f"--scheduler {address}: no worker for {NO_WORKERS_S:.0f} s")
+            # not by the status of the future: that is "pending" again when the worker dies after
+            # its result was fetched
             for future, result in batch:
-                yield _dask_outcome(index_of.pop(future), future.status, result, address)
+                yield _dask_outcome(index_of.pop(future), result, address)
             if not batch:
                 time.sleep(_POLL_S)
 
@@ -359,17 +361,23 @@ def _dask(address: str) -> Iterator[Engine]:
         yield engine
 
 
-def _dask_outcome(index: int, status: str, result: Any, address: str) -> Outcome:
-    """Return what a future came to; raise what is not the item's fault."""
-    if status == "finished":
-        outcome: Outcome = result
-        return outcome
-    error = result[1] if status == "error" else "the scheduler is gone"
+def _has_workers(client: Any, address: str) -> bool:
+    try:
+        return bool(client.ncores())
+    except OSError as error:
+        raise JobError(f"--scheduler {address}: it went away: {error}; run again") from error
+
+
+def _dask_outcome(index: int, result: Any, address: str) -> Outcome:
+    """Return what a future gave, an outcome or (type, error, trace); raise any other error."""
+    if isinstance(result, Outcome):
+        return result
+    error = result[1] if isinstance(result, tuple) else result
     if isinstance(error, module("distributed", "distributed").KilledWorker):
         return Outcome(index, n_lost=error.allowed_failures + 1)
     if isinstance(error, ApexError):
         raise error
-    raise JobError(f"--scheduler {address}: item {index}: {error}")
+    raise JobError(f"--scheduler {address}: item {index}: {type(error).__name__} {error}")
 
 
 @contextmanager

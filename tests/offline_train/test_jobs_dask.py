@@ -40,3 +40,16 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(JobError, match="no dask scheduler answers"):
             jobs.run(toy_jobs.toy, toy_jobs.toy_items(2), tmp_path, 1, scheduler=address)
+
+
+def test_a_scheduler_that_goes_away_is_said_and_what_is_done_stays(tmp_path):
+    stage = toy_jobs.Stage(tmp_path, 3)
+    with toy_jobs.dask_cluster(stage.log) as address:
+        driver = stage.start(1, "--scheduler", address)
+        stage.wait(lambda: len(stage.whole()) >= 6)
+    assert stage.end(driver) == 2
+    assert stage.n_torn() == 0
+    assert stage.run(1) == 0
+    found = stage.found()
+    assert (found.n_different, found.n_lost, found.n_again) == (0, 0, 0), found.said
+    assert "JobError: --scheduler" in found.said
