@@ -114,7 +114,7 @@ def _guarded(fields: Any, where: str, is_replayed: bool) -> Model:
             return model
     except KeyError as error:
         raise WeightsError(f"{where}: {error} is missing") from error
-    except (WeightsError, ValueError, OverflowError) as error:
+    except (WeightsError, ValueError, ArithmeticError) as error:
         raise WeightsError(f"{where}: {error}") from error
     except (TypeError, AttributeError, IndexError, RecursionError) as error:
         raise WeightsError(f"{where}: a field has the wrong type: {error}") from error
