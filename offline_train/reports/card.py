@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional
 
 from apex_edge.record.whole import write_whole_text
-from offline_train.reports import curves, tables
+from offline_train.reports import curves, recipe, tables
 
 _KINDS = {
     "linear": "a logistic regression on features of one pair of objects, in plain numpy",
@@ -54,7 +54,7 @@ def card(fields: Mapping[str, Any], stem: str, tests: List[Tested]) -> Dict[str,
     files: Dict[str, str] = {}
     parts = [
         f"# Hazard trigger `{stem}`\n\n{_what(fields)}",
-        "## How it was trained\n\n" + _training(fields),
+        "## How it was trained\n\n" + _training(fields, stem),
         "## What is certified\n\n" + _certificate(fields),
     ]
     for test in tests:
@@ -75,14 +75,17 @@ def card(fields: Mapping[str, Any], stem: str, tests: List[Tested]) -> Dict[str,
 def section(test: Tested, pictures: Mapping[str, str]) -> str:
     """Return tables and plots of one test set; ``pictures`` maps a kind of plot to its file."""
     found = test.evaluation
+    origin = ", ".join(f"{key.replace('_', ' ')} {v}" for key, v in found.get("origin", {}).items())
     text = [
+        f"Drawn as: {origin}." if origin else "",
         f"{found['n_scenes']} scenes with {found['n_tracks']} tracks, none of which a model has "
         f"learnt from. {found['n_contacts']} contacts could be watched up to "
         f"{found['lead_s']:.1f} s before; in {found['n_events']} of them "
         f"({tables.share(found['eligible_share'])}) the mover was visible in time, and these are "
         f"the events. Frame figures are over {found['n_frames']} frames that pass the gate, "
         f"{tables.share(found['positive_share'])} of them dangerous. A rule without a threshold of "
-        "its own gets the one at which it announces as many events as the model.",
+        "its own gets the one at which it announces as many events of this very set as the model, "
+        "which flatters it a little: the model had to choose before.",
         tables.of_rules(found),
         tables.of_kinds(found),
         "Events announced, by the time before contact:",
@@ -133,13 +136,12 @@ def _what(fields: Mapping[str, Any]) -> str:
     )
 
 
-def _training(fields: Mapping[str, Any]) -> str:
-    provenance = dict(fields["provenance"])
-    command = provenance.pop("command", None)
-    rows = [f"- {key}: {value}" for key, value in _flat(provenance, "")]
+def _training(fields: Mapping[str, Any], stem: str) -> str:
+    rows = [f"- {key}: {value}" for key, value in _flat(fields["provenance"], "")]
     text = "\n".join(rows)
-    if command is not None:
-        text += f"\n\nThe exact command:\n\n```\n{command}\n```"
+    commands = recipe.commands(fields, stem)
+    if commands:
+        text += "\n\nThe commands:\n\n```\n" + "\n".join(commands) + "\n```"
     return text + "\n\nSame seed and same library versions give the same bytes."
 
 
@@ -157,12 +159,13 @@ def _certificate(fields: Mapping[str, Any]) -> str:
     return (
         f"With {tables.share(promise['confidence'])} confidence the model announces at least "
         f"{tables.share(1.0 - promise['alpha'])} of events {promise['lead_s']:.1f} s or more "
-        f"before contact. The threshold (logit {promise['logit']:.4g}) is the {_th(promise['k'])} smallest "
-        f"of {promise['n_pos']} scores, one per event of scenes that the fit has not seen.{late}\n\n"
-        "The promise needs no assumption on how scores are distributed, but it is one on the whole "
-        "procedure: of twenty such files, one may fall short. It is void where objects, people or "
-        "noise differ from the scenes it was certified on; certify anew on recordings of your own "
-        f"table then. It holds under this gate and vote only: {gate}."
+        f"before contact. The threshold (logit {promise['logit']:.4g}) is the "
+        f"{_th(promise['k'])} smallest of {promise['n_pos']} scores, one per event of scenes that "
+        f"the fit has not seen.{late}\n\n"
+        "The promise needs no assumption on how scores are distributed, but it is one on the "
+        "whole procedure: of twenty such files, one may fall short. It is void where objects, "
+        "people or noise differ from the scenes it was certified on; certify anew on recordings "
+        f"of your own table then. It holds under this gate and vote only: {gate}."
     )
 
 

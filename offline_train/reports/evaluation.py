@@ -4,7 +4,6 @@ Source: ours.
 """
 
 import json
-from dataclasses import fields as fields_of
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
@@ -15,31 +14,37 @@ from apex_edge.types import Array
 from offline_train.reports import curves, tables
 from offline_train.reports.card import Tested, n_parameters, section
 from offline_train.trigger.calibrate import Promise
+from offline_train.trigger.certify import gate_of
 from offline_train.trigger.evaluate import Rated, Testing, beside, evaluate
 from offline_train.trigger.evaluate import curves as points_of
 from offline_train.trigger.observe import Observed
+from offline_train.trigger.scoring import RULE_SURE
 
 # The trees of the ceiling draw rows and bins; any fixed seed does.
 _CEILING_SEED = 0
 
 
 class Model(NamedTuple):
-    """A model document, and what gives its logit (r,) for the rows of a set."""
+    """A model document, and what the device compares with its threshold (r,), row by row."""
 
     fields: Mapping[str, Any]
     score: Callable[[Observed], Array]
 
 
 class Data(NamedTuple):
-    """A named test set and the names of its kinds of motion."""
+    """A named test set, the names of its kinds of motion, and where it comes from."""
 
     name: str
     seen: Observed
     kinds: Tuple[str, ...]
+    origin: Mapping[str, Any] = {}
 
 
 def examine(data: Data, models: Mapping[str, Model], inputs: Callable[[Observed], Array]) -> Tested:
     """Return figures and curves of the models and their four baselines on one set.
+
+    Of a model, ``fallback_share`` is the share of rows outside its domain, where the k-sigma rule
+    speaks for it as on the device.
 
     Parameters
     ----------
@@ -56,14 +61,23 @@ def examine(data: Data, models: Mapping[str, Model], inputs: Callable[[Observed]
         raise InputError(f"{data.name}: no frame passes the gate; there is nothing to test on")
     config, lead_s = terms(models)
     rated: Dict[str, Rated] = {}
+    fallback: Dict[str, float] = {}
     for name, model in models.items():
         logit = model.score(data.seen)
         promise = model.fields["threshold"]
         threshold = None if promise is None else float(promise["logit"])
-        rated[name] = Rated(logit, threshold, probability(model.fields, logit))
+        is_fallback = np.abs(logit) >= RULE_SURE
+        said = np.where(is_fallback, data.seen.rule_probability, probability(model.fields, logit))
+        rated[name] = Rated(logit, threshold, said)
+        fallback[name] = float(is_fallback.mean())
     rated.update(beside(data.seen, inputs(data.seen), _CEILING_SEED))
     testing = Testing(config, lead_s, data.kinds, next(iter(models)))
-    return Tested(data.name, evaluate(data.seen, rated, testing), points_of(data.seen, rated))
+    found = evaluate(data.seen, rated, testing)
+    for name, share in fallback.items():
+        found["rules"][name]["fallback_share"] = share
+    if data.origin:
+        found["origin"] = dict(data.origin)
+    return Tested(data.name, found, points_of(data.seen, rated))
 
 
 def terms(models: Mapping[str, Model]) -> Tuple[TriggerConfig, float]:
@@ -72,25 +86,24 @@ def terms(models: Mapping[str, Model]) -> Tuple[TriggerConfig, float]:
     Raises
     ------
     InputError : they differ, so that no table can compare the models.
+    WeightsError : a gate names a setting that this program does not have.
     """
-    found: Dict[str, Any] = {}
+    found: Dict[str, Tuple[TriggerConfig, float]] = {}
     for name, model in models.items():
         promise = model.fields["threshold"] or {}
         lead_s = float(promise.get("lead_s", Promise().lead_s))
-        found[name] = {"lead_s": lead_s, **model.fields["gate"]}
+        found[name] = (gate_of(model.fields), lead_s)
     first = next(iter(found))
     for name, one in found.items():
         if one != found[first]:
             raise InputError(f"{name} was certified under {one}, but {first} under {found[first]}")
-    known = {spec.name for spec in fields_of(TriggerConfig)}
-    gate = {key: value for key, value in found[first].items() if key in known}
-    return TriggerConfig(**gate), found[first]["lead_s"]
+    return found[first]
 
 
 def probability(document: Mapping[str, Any], logit: Array) -> Array:
     """Return the calibrated probability (r,) that a model states."""
-    slope, offset = document.get("platt") or (1.0, 0.0)
-    said: Array = 0.5 * (1.0 + np.tanh(0.5 * (slope * logit + offset)))
+    platt = document.get("platt", {"a": 1.0, "b": 0.0})
+    said: Array = 0.5 * (1.0 + np.tanh(0.5 * (platt["a"] * logit + platt["b"])))
     return said
 
 

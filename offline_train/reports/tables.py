@@ -14,8 +14,9 @@ FIGURES = (
     ("ece", "ECE"),
     ("brier", "Brier"),
     ("log_loss", "log-loss (nat)"),
+    ("fallback_share", "frames outside its domain"),
 )
-_SHARES = ("recall", "negative_frames", "harmless_tracks")
+_SHARES = ("recall", "negative_frames", "harmless_tracks", "fallback_share")
 _SHOWN_LEADS_S = (0.2, 0.6, 1.0, 1.4, 2.0, 3.0)
 
 

@@ -122,6 +122,11 @@ def summary(evaluation: Mapping[str, Any]) -> Dict[str, Any]:
     return dict(evaluation, rules=rules)
 
 
+def cut_for(seen: Observed, vote: Array, lead_s: float, recall: float) -> float:
+    """Return the highest threshold at which ``vote (n, f)`` announces that share of the events."""
+    return _cut_at(_best_before(seen, vote, lead_s)[is_eligible(seen, lead_s)], recall)
+
+
 def curves(seen: Observed, rated: Mapping[str, Rated]) -> Dict[str, Any]:
     """Return per rule the points of ``pr``, ``roc`` and, with a probability, ``reliability``."""
     rows = thin(seen.pair, ROWS_PER_PAIR, 0)

@@ -32,6 +32,7 @@ def observed(contact_s, kind, n_frames=40, frame_s=0.1):
         "frame": frame,
         "centre_moves": np.zeros(r, dtype=bool),
         "features": np.zeros((r, 12)),
+        "wide": np.zeros((r, 0)),
         "rule_probability": np.zeros(r),
         "rule_hit": np.zeros(r, dtype=bool),
         "label": contact_s[pair] - time[frame] <= 5.0,
