@@ -8,8 +8,8 @@ from apex_edge.triggers.approach import Pairs, closest
 from apex_edge.triggers.base import TriggerConfig
 from offline_train.scenes import mujoco_world
 from offline_train.trigger import seeds, soft
-from offline_train.trigger.evaluate import calibration_error
 from offline_train.trigger.fit import fit, thin
+from offline_train.trigger.metrics import calibration_error
 from offline_train.trigger.observe import Watching, observe
 
 pytest.importorskip("mujoco")

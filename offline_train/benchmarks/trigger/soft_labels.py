@@ -13,8 +13,8 @@ from apex_edge.types import Array
 from offline_train.benchmarks.lines import Line, at_least, at_most, note
 from offline_train.scenes import tabletop_pairs
 from offline_train.trigger import seeds
-from offline_train.trigger.evaluate import calibration_error
 from offline_train.trigger.fit import ROWS_PER_PAIR, LinearFit, fit, sklearn_module, thin
+from offline_train.trigger.metrics import calibration_error
 from offline_train.trigger.observe import Observed, Watching, join, observe
 from offline_train.trigger.soft import keep_rows, soften
 
