@@ -67,7 +67,7 @@ def edge_features(pairs: Pairs, approach: Approach, horizon_s: float) -> Array:
     np.divide(approach.near_m[0], radius, rows[4])
     np.divide(approach.tca_s, horizon_s, rows[5])
     inside = np.divide(radius - approach.near_m, sd, rows[6:8])
-    np.maximum(inside, 0.0, rows[8:10])
+    np.maximum(inside, 0.0, out=rows[8:10])
     np.divide(sd[0], radius, rows[10])
     limited = np.minimum(np.maximum(inside, -_PRODUCT_SD), _PRODUCT_SD)
     np.multiply(limited[0], limited[1], rows[11])

@@ -15,6 +15,7 @@ import numpy as np
 from apex_edge.errors import InputError
 from apex_edge.triggers.base import TriggerConfig
 from apex_edge.triggers.features import FEATURE_SET, FEATURE_VERSION
+from apex_edge.triggers.wide import WIDE_SET, WIDE_VERSION
 from apex_edge.types import Array
 from offline_train import jobs, shards
 from offline_train.job_key import Task, job_key
@@ -106,7 +107,7 @@ def describe(
         n_scenes,
         watching,
         only_contacts,
-        f"{FEATURE_SET} {FEATURE_VERSION}",
+        _features(watching),
     )
 
 
@@ -125,6 +126,8 @@ def check_watching(watching: Watching) -> None:
     for name, ((low, high), least, most) in ranges.items():
         if not least <= low <= high <= most:
             raise DataError(f"{name} {low:g} to {high:g}: expected within {least:g} to {most:g}")
+    if not 1 <= watching.stride <= watching.n_frames:
+        raise DataError(f"stride {watching.stride}: expected 1 to {watching.n_frames}")
     if not 0.0 < watching.horizon_s <= LOOK_AHEAD_S:
         raise DataError(f"horizon_s {watching.horizon_s:g}: expected above 0, up to {LOOK_AHEAD_S}")
 
@@ -242,6 +245,11 @@ def draw_watched(part: Part, random: np.random.Generator) -> Dict[str, Array]:
 def draw_stars(part: Part, random: np.random.Generator) -> Dict[str, Array]:
     """Draw one shard of star graphs: the task of the job."""
     return dict(vars(STAR_SETS[part.description.scenario](random, part.n_scenes)))
+
+
+def _features(watching: Watching) -> str:
+    narrow = f"{FEATURE_SET} {FEATURE_VERSION}"
+    return f"{narrow}, {WIDE_SET} {WIDE_VERSION}" if watching.is_wide else narrow
 
 
 def _job(description: Description) -> Tuple[Task, List[Part], Sequence[int]]:

@@ -22,8 +22,9 @@ from offline_train.trigger.distill import linear_student
 SUITE = "reproduction"
 N_TEST = 2000
 N_LINEAR_TRAIN = 2000
-N_SHORT_EPOCHS = 15
+N_SHORT_EPOCHS = 5
 RECALL_GOAL = 0.9
+SHORT_LOSS_GOAL = 0.2
 ACCURACY_GOALS = (0.6, 0.8)
 LINEAR_GOALS = {"accuracy": 0.995, "recall": 0.99, "precision": 0.97}
 _FASTER_THAN_SAFE = 1.0 + 1e-9
@@ -102,7 +103,11 @@ def linear_lines(train: star.StarSet, test: star.StarSet) -> List[Line]:
 
 
 def short_training_lines(test: star.StarSet, seed: int) -> List[Line]:
-    """Train a few epochs with the quirks from this seed: recall is bought with accuracy again."""
+    """Train a few epochs with the quirks from this seed: the second sigmoid costs accuracy again.
+
+    Recall is not promised: with a sigmoid inside, training wanders (one-sigmoid recall .36 to .99
+    after 10 epochs, by seed) and settles only later.
+    """
     fit = paper.train_paper(GRAPHORMER, paper.REPO_QUIRKS, seed, N_SHORT_EPOCHS).fit
     graphs = paper.paper_graphs(test, paper.REPO_QUIRKS)
     logit = fit.logit(graphs)
@@ -111,8 +116,9 @@ def short_training_lines(test: star.StarSet, seed: int) -> List[Line]:
     what = f"trained here for {N_SHORT_EPOCHS} epochs"
     lost = _number(once["accuracy"]) - _number(released["accuracy"])
     return [
-        at_least(SUITE, f"{what}: recall as released", _number(released["recall"]), RECALL_GOAL),
-        at_least(SUITE, f"{what}: accuracy lost to the second sigmoid", lost, 0.05),
+        at_least(SUITE, f"{what}: accuracy lost to the second sigmoid", lost, SHORT_LOSS_GOAL),
+        _row(f"{what}, evaluated as released", released),
+        _row(f"{what}, one sigmoid", once),
     ]
 
 

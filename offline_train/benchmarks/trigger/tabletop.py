@@ -1,9 +1,9 @@
 """Uniform motion on the tabletop at 3 mm and 20 Hz: what the length of the window buys.
 
-Each pair is judged once. All figures are over ALL pairs not yet in contact, moving or not. The goals
-are about the classifier alone, so that it gets no credit for what the device's gate drops: at 15
-frames the gate alone leaves fewer false alarms than the goal. Notes say what the device does behind
-its gate, where a dropped pair has the lowest score, for it can never fire. Source: ours.
+Each pair is judged once. All figures are over ALL pairs not yet in contact, moving or not. The
+goals are about the classifier alone, so that it gets no credit for what the device's gate drops: at
+15 frames the gate alone leaves fewer false alarms than the goal. Notes say what the device does
+behind its gate, where a dropped pair has the lowest score, for it can never fire. Source: ours.
 """
 
 from dataclasses import dataclass
