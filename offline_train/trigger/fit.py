@@ -65,30 +65,17 @@ def sklearn_module(name: str) -> Any:
         ) from error
 
 
-def fit(train: Observed, seed: int, is_soft: bool = False) -> LinearFit:
-    """Fit without class weights, so that the probability means what it says.
-
-    ``is_soft`` learns from ``train.soft`` by soft cross-entropy: each row stands twice, as a
-    contact with weight p and as none with weight 1 - p.
-
-    Raises
-    ------
-    ApexError : a row that is learnt from has no soft label.
-    """
+def fit(train: Observed, seed: int) -> LinearFit:
+    """Fit without class weights, so that the probability means what it says."""
     rows = thin(train.pair, ROWS_PER_PAIR, seed)
-    target = train.soft[rows] if is_soft else train.label[rows]
-    if not np.isfinite(target).all():
-        raise ApexError(f"{int(np.sum(np.isnan(target)))} training rows have no soft label")
-    return fit_rows(train.features[rows], target, FEATURE_NAMES)
+    return fit_rows(train.features[rows], train.label[rows], FEATURE_NAMES)
 
 
 def fit_rows(
-    features: Array, target: Array, names: Sequence[str], solver: str = "lbfgs"
+    features: Array, label: Array, names: Sequence[str], solver: str = "lbfgs"
 ) -> LinearFit:
     """Fit to rows (m, k) whose columns have these names, all of them with the same weight.
 
-    ``target (m,)`` is a label, or a probability that counts as a contact with weight p and as none
-    with weight 1 - p.
     ``solver`` is scikit-learn's; on many columns that are much alike "newton-cholesky" takes a
     tenth of the time.
     """
@@ -102,15 +89,9 @@ def fit_rows(
     mean, scale = clipped.mean(axis=0), clipped.std(axis=0)
     # A column that never changes says nothing.
     scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = (clipped - mean) / scale
     linear = sklearn_module("sklearn.linear_model")
     model = linear.LogisticRegression(solver=solver, max_iter=5000, tol=1e-8)
-    if target.dtype == bool:
-        model.fit(scaled, target)
-    else:
-        label = np.repeat([True, False], len(target))
-        weight = np.concatenate([target, 1.0 - target])
-        model.fit(np.concatenate([scaled, scaled]), label, sample_weight=weight)
+    model.fit((clipped - mean) / scale, label)
     return LinearFit(
         clip_lo=clip_lo,
         clip_hi=clip_hi,
