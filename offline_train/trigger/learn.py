@@ -12,8 +12,9 @@ import numpy as np
 from apex_edge import plugins
 from apex_edge.errors import ApexError
 from apex_edge.triggers.base import TriggerConfig
+from apex_edge.triggers.feature_sets import FEATURE_SETS
 from apex_edge.triggers.features import FEATURE_NAMES, FEATURE_SET
-from apex_edge.triggers.models import FEATURE_SETS, LinearWeights, Model
+from apex_edge.triggers.models import LinearWeights, Model
 from apex_edge.triggers.stars import NODE_NAMES, stars
 from apex_edge.types import Array
 from offline_train.graph_models.batches import Graphs

@@ -9,8 +9,9 @@ friction, so each mover is a body on a MuJoCo rail with friction loss: the same 
 wheels on the ground (held to it by a test) at a ninth of the cost. What matters of the kind is the
 way left until it rests. No simulator knows what a hand means to do: half of all movers run on at
 constant speed, the other half come to rest after a way that is log-uniform from 2 cm to 1.5 m; a
-slowing down that perception has proven is taken from a normal about what it measured. Source:
-facts of conjunction assessment and of soft distillation; ours.
+slowing down that perception has proven is taken from a normal about what it measured. Where that
+prior is wrong the labels are wrong with it: mix the truth in (``distill.soft_target``) and look at
+their own calibration. Source: ours.
 """
 
 from dataclasses import dataclass, replace
