@@ -99,6 +99,8 @@ class Tracks:
     ``centre_px (n, 2)``, ``area_px2 (n,)``, ``is_manoeuvre (n,)`` when the motion just
     changed, ``is_blurred (n,)`` when the picture smears it along its motion. Without a calibration
     the metric fields are NaN. ``smooth_m (n, 3)`` is the paper's mean of the last five positions.
+    ``seen_m (n, 3)`` is the raw sighting in this frame, ``seen_sd_m (n,)`` its stated random sd;
+    both NaN when this frame does not show the object.
     """
 
     seq: int
@@ -118,6 +120,8 @@ class Tracks:
     is_manoeuvre: Array
     is_blurred: Array
     smooth_m: Array
+    seen_m: Array
+    seen_sd_m: Array
 
 
 @dataclass(frozen=True)

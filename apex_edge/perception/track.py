@@ -61,6 +61,7 @@ class Track:
     is_blurred: bool = False
     last: Sighting = field(init=False)
     pos_sd: float = field(init=False)
+    seen_sd: float = field(init=False)
     _sizes: Deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
     _areas: Deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
     _shapes: Deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
@@ -98,7 +99,8 @@ class Track:
             and abs(float(step @ along)) > _ALONG * sweep
         )
         noise, pull = self.noise_px * sighting.unit * self._doubt(sighting), self._pull(sighting)
-        self.motion.add(sighting.t_s, sighting.where, math.hypot(noise, pull))
+        self.seen_sd = math.hypot(noise, pull)
+        self.motion.add(sighting.t_s, sighting.where, self.seen_sd)
         self.pos_sd = math.hypot(sighting.pos_sd, pull)
         self._remember(sighting, elongation)
         self.last, self.status = sighting, TrackStatus.SEEN

@@ -265,9 +265,9 @@ class Tracker:
     def _report(self, seq: int, t_s: float, camera: Optional[CameraModel]) -> Tracks:
         """Return the struct of arrays, and drop what it says is lost."""
         tracks, n = self._tracks, len(self._tracks)
-        pos, vel, acc, smooth = (np.full((n, 3), np.nan) for _ in range(4))
+        pos, vel, acc, smooth, seen = (np.full((n, 3), np.nan) for _ in range(5))
         cov = np.full((n, 6, 6), np.nan)
-        centre, radius = np.full((n, 2), np.nan), np.full(n, np.nan)
+        centre, radius, seen_sd = np.full((n, 2), np.nan), np.full(n, np.nan), np.full(n, np.nan)
         for i, track in enumerate(tracks):
             if track.status == TrackStatus.LOST:
                 continue
@@ -280,6 +280,8 @@ class Tracker:
             cov[i] = state.cov
             cov[i, :3, :3] += np.eye(3) * track.pos_sd**2
             smooth[i], radius[i] = track.motion.smooth(), track.size
+            if is_seen:
+                seen[i], seen_sd[i] = track.last.where, track.seen_sd
         result = Tracks(
             seq=seq,
             t_s=t_s,
@@ -298,6 +300,8 @@ class Tracker:
             is_manoeuvre=np.array([track.motion.is_manoeuvre for track in tracks], dtype=bool),
             is_blurred=np.array([track.is_blurred for track in tracks], dtype=bool),
             smooth_m=smooth,
+            seen_m=seen,
+            seen_sd_m=seen_sd,
         )
         self._tracks = [track for track in tracks if track.status != TrackStatus.LOST]
         return result

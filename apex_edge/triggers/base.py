@@ -20,6 +20,7 @@ from apex_edge.triggers.approach import (
     early_contact,
     first_contact,
 )
+from apex_edge.triggers.windows import History, line_pairs
 from apex_edge.types import Array, DifferenceGraph, HazardScores, Tracks
 
 # The table is a plane; heights are the least certain part of a depth camera.
@@ -62,7 +63,8 @@ class Evidence:
     ``mover_id``, ``target_id (m,)`` say which pairs share a mover or a target in this frame;
     ``ttc_s``, ``early_s (m,)`` time to contact, as estimated and at the pessimistic end;
     ``is_moving (m,)`` of the mover, ``n_samples (m,)`` behind the younger of the two tracks,
-    ``horizon_s`` scalar.
+    ``horizon_s`` scalar; ``windows`` the same pairs as each window of a line fit sees them, none
+    when the trigger has no use for them.
     """
 
     pairs: Pairs
@@ -74,6 +76,7 @@ class Evidence:
     horizon_s: float
     mover_id: Array
     target_id: Array
+    windows: Tuple[Pairs, ...] = ()
 
     @property
     def is_possible(self) -> Array:
@@ -93,6 +96,7 @@ class Evidence:
             horizon_s=self.horizon_s,
             mover_id=self.mover_id[rows],
             target_id=self.target_id[rows],
+            windows=tuple(pairs.take(rows) for pairs in self.windows),
         )
 
 
@@ -111,15 +115,21 @@ class Trigger(ABC):
     Parameters
     ----------
     config : see TriggerConfig; None = defaults.
+    windows : frames of the line fits ``judge`` needs of each pair; without any no sighting is kept.
     """
 
-    def __init__(self, config: Optional[TriggerConfig] = None) -> None:
+    def __init__(
+        self, config: Optional[TriggerConfig] = None, windows: Tuple[int, ...] = ()
+    ) -> None:
         self.config = config if config is not None else TriggerConfig()
+        self._history = History(windows) if windows else None
         self._persistence = Persistence(self.config.persist_hits, self.config.persist_frames)
 
     def reset(self) -> None:
         """Forget earlier frames, as at start-up."""
         self._persistence.reset()
+        if self._history is not None:
+            self._history.reset()
 
     def score(self, diff: DifferenceGraph, horizon_s: float) -> HazardScores:
         """Score the edges of ``diff.graph``; call once per frame, in order."""
@@ -128,10 +138,21 @@ class Trigger(ABC):
         pairs = pairs_of(tracks, edges, diff.dt_s)
         table = _Table.at_rest(pairs)
         ids = tracks.track_id[edges]
+        n_samples = tracks.n_samples
+        if self._history is not None:
+            self._history.update(tracks)
+            n_samples = np.minimum(n_samples, self._history.counts())
         moving = np.flatnonzero(is_moving)
         if len(moving):
-            samples = np.min(tracks.n_samples[edges[moving]], axis=1)
-            evidence = weigh(pairs.take(moving), is_moving[moving], samples, horizon_s, ids[moving])
+            some = edges[moving]
+            evidence = weigh(
+                pairs.take(moving),
+                is_moving[moving],
+                np.min(n_samples[some], axis=1),
+                horizon_s,
+                ids[moving],
+                self._seen_by_windows(some, pairs.radius_m[moving], diff.t_s),
+            )
             table.put_approach(moving, evidence)
             possible = np.flatnonzero(evidence.is_possible)
             if len(possible):
@@ -151,6 +172,11 @@ class Trigger(ABC):
             is_fired=voted & np.isfinite(table.early_s),
             is_fallback=table.is_fallback,
         )
+
+    def _seen_by_windows(self, edges: Array, radius_m: Array, t_s: float) -> Tuple[Pairs, ...]:
+        if self._history is None:
+            return ()
+        return tuple(line_pairs(lines, edges, radius_m) for lines in self._history.lines(t_s))
 
     @abstractmethod
     def judge(self, evidence: Evidence) -> Verdict:
@@ -259,10 +285,12 @@ def weigh(
     n_samples: Array,
     horizon_s: float,
     ids: Optional[Array] = None,
+    windows: Tuple[Pairs, ...] = (),
 ) -> Evidence:
     """Work out closest approach, noise and pessimistic contact of m pairs.
 
-    ``ids (m, 2)`` of movers and targets; None = no two pairs have an object in common.
+    ``ids (m, 2)`` of movers and targets; None = no two pairs have an object in common. ``windows``
+    as in Evidence.
     """
     approach = closest(pairs, horizon_s)
     if ids is None:
@@ -277,6 +305,7 @@ def weigh(
         horizon_s=horizon_s,
         mover_id=ids[:, 0],
         target_id=ids[:, 1],
+        windows=windows,
     )
 
 

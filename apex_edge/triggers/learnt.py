@@ -13,6 +13,7 @@ import numpy as np
 from apex_edge.triggers.analytic import k_sigma_rule
 from apex_edge.triggers.base import Evidence, Trigger, TriggerConfig, Verdict
 from apex_edge.triggers.drift import DriftMonitor, DriftRules
+from apex_edge.triggers.feature_sets import model_features
 from apex_edge.triggers.models import TriggerModel
 from apex_edge.types import Array, DifferenceGraph, HazardScores
 
@@ -32,7 +33,7 @@ class LearntTrigger(Trigger):
     """
 
     def __init__(self, config: TriggerConfig, model: TriggerModel, name: str) -> None:
-        super().__init__(config)
+        super().__init__(config, model.feature_set.windows)
         self._model = model
         self._t_s = -np.inf
         rules = DriftRules(config.drift_window_s, config.drift_min_pairs, config.drift_share)
@@ -68,7 +69,7 @@ class LearntTrigger(Trigger):
     def judge(self, evidence: Evidence) -> Verdict:
         """Apply the model, and the analytic rule where it does not reach."""
         model = self._model
-        features = model.feature_set.compute(evidence.pairs, evidence.approach, evidence.horizon_s)
+        features = model_features(model.feature_set.name, evidence)
         known = self._is_known(evidence, features)
         rule = k_sigma_rule(evidence, self.config.k_sigma)
         if not known.any():

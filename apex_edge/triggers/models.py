@@ -4,38 +4,15 @@ Source: ours.
 """
 
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, NamedTuple, Tuple, Union
+from typing import Any, Dict, Tuple, Union
 
 import numpy as np
 
-from apex_edge.triggers.approach import Approach, Pairs
-from apex_edge.triggers.features import (
-    FEATURE_NAMES,
-    FEATURE_SET,
-    FEATURE_UNITS,
-    FEATURE_VERSION,
-    edge_features,
-)
+from apex_edge.triggers.approach import Pairs
+from apex_edge.triggers.feature_sets import FeatureSet
 from apex_edge.triggers.graph_net import GraphNet
 from apex_edge.triggers.stars import nodes_as, stars
 from apex_edge.types import Array
-
-
-class FeatureSet(NamedTuple):
-    """A named set of pair features, and how they are computed from (pairs, approach, horizon)."""
-
-    name: str
-    version: int
-    names: Tuple[str, ...]
-    units: Tuple[str, ...]
-    compute: Callable[[Pairs, Approach, float], Array]
-
-
-FEATURE_SETS = {
-    FEATURE_SET: FeatureSet(
-        FEATURE_SET, FEATURE_VERSION, FEATURE_NAMES, FEATURE_UNITS, edge_features
-    )
-}
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,11 @@ import numpy as np
 from apex_edge.errors import WeightsError
 from apex_edge.triggers import model_file
 from apex_edge.triggers.approach import Pairs, closest
+from apex_edge.triggers.feature_sets import FEATURE_SETS, FeatureSet
 from apex_edge.triggers.graph_net import GraphNet, GraphSpec
 from apex_edge.triggers.models import (
-    FEATURE_SETS,
     Columns,
     Domain,
-    FeatureSet,
     GraphWeights,
     LinearWeights,
     Model,
@@ -115,7 +114,7 @@ def _guarded(fields: Any, where: str, is_replayed: bool) -> Model:
             return model
     except KeyError as error:
         raise WeightsError(f"{where}: {error} is missing") from error
-    except (WeightsError, ValueError, OverflowError) as error:
+    except (WeightsError, ValueError, ArithmeticError) as error:
         raise WeightsError(f"{where}: {error}") from error
     except (TypeError, AttributeError, IndexError, RecursionError) as error:
         raise WeightsError(f"{where}: a field has the wrong type: {error}") from error
@@ -281,15 +280,15 @@ def replay(model: Model, case: Mapping[str, Any]) -> Dict[str, Array]:
 
     A case has the columns of ``Pairs`` (m pairs of one frame), ``mover (m,)`` identities and
     ``horizon_s``, and what must come out: ``features (m, k)``, ``logit (m,)``, and for a graph
-    ``nodes (N, F)`` and ``edges (2, m)`` of its stars, not yet standardised.
+    ``nodes (N, F)`` and ``edges (2, m)`` of its stars, not yet standardised. For a feature set
+    with windows, ``windows`` has the same columns of the same pairs once per window.
     """
-    columns = {name: np.array(case[name], dtype=np.float64) for name in _PAIR_SHAPES}
-    n = len(case["radius_m"])
-    for name, shape in _PAIR_SHAPES.items():
-        _need(n > 0 and columns[name].shape == (n, *shape), f"golden {name} has a wrong shape")
-    pairs = Pairs(**columns)
+    pairs, n = _raw_pairs(case), len(case["radius_m"])
     horizon_s = _number(case["horizon_s"], "golden horizon_s")
-    features = model.feature_set.compute(pairs, closest(pairs, horizon_s), horizon_s)
+    windows = tuple(_raw_pairs(part) for part in case.get("windows", ()))
+    is_whole = len(windows) == len(model.feature_set.windows)
+    _need(is_whole and all(len(p.radius_m) == n for p in windows), "golden windows do not fit")
+    features = model.feature_set.compute(pairs, closest(pairs, horizon_s), horizon_s, windows)
     if isinstance(model, LinearWeights):
         return {"features": features, "logit": model.logit(features)}
     mover = np.array([_whole(value, "golden mover") for value in case["mover"]])
@@ -301,3 +300,11 @@ def replay(model: Model, case: Mapping[str, Any]) -> Dict[str, Array]:
         "edges": found.edges,
         "logit": model.logit(features, pairs, mover),
     }
+
+
+def _raw_pairs(case: Mapping[str, Any]) -> Pairs:
+    columns = {name: np.array(case[name], dtype=np.float64) for name in _PAIR_SHAPES}
+    n = len(case["radius_m"])
+    for name, shape in _PAIR_SHAPES.items():
+        _need(n > 0 and columns[name].shape == (n, *shape), f"golden {name} has a wrong shape")
+    return Pairs(**columns)

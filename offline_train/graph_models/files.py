@@ -15,9 +15,9 @@ import numpy as np
 from apex_edge.errors import WeightsError
 from apex_edge.triggers import model_file
 from apex_edge.triggers.graph_net import GraphSpec
+from apex_edge.triggers.models import Columns
 from offline_train.graph_models.fitted import GraphFit, from_layers
 from offline_train.graph_models.need import graph_module
-from offline_train.trigger.scaling import Scaler
 
 FEATURE_SET = "paper-star"
 _DATA = Path(__file__).resolve().parent.parent / "data"
@@ -80,9 +80,9 @@ def read(path: Path) -> Tuple[GraphFit, Dict[str, Any]]:
         raise WeightsError(f"{path}: a field is missing or wrong: {error}") from error
 
 
-def _plain(scaler: Scaler) -> Dict[str, Any]:
+def _plain(scaler: Columns) -> Dict[str, Any]:
     return {name: column.tolist() for name, column in asdict(scaler).items()}
 
 
-def _scaler(value: Mapping[str, Any]) -> Scaler:
-    return Scaler(**{name: np.array(row, dtype=np.float64) for name, row in value.items()})
+def _scaler(value: Mapping[str, Any]) -> Columns:
+    return Columns(**{name: np.array(row, dtype=np.float64) for name, row in value.items()})

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Callable, Dict, Optional
 
 from apex_edge.triggers.graph_net import GraphNet, GraphSpec
+from apex_edge.triggers.models import Columns
 from apex_edge.types import Array
 from offline_train.graph_models.batches import Graphs
-from offline_train.trigger.scaling import Scaler
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class GraphFit:
 
     spec: Optional[GraphSpec]
     layers: Optional[Dict[str, Array]]
-    node_scaler: Scaler
-    edge_scaler: Scaler
+    node_scaler: Columns
+    edge_scaler: Columns
     score: Callable[[Graphs], Array]
 
     def logit(self, graphs: Graphs) -> Array:
@@ -29,7 +29,7 @@ class GraphFit:
 
 
 def from_layers(
-    spec: GraphSpec, layers: Dict[str, Array], node_scaler: Scaler, edge_scaler: Scaler
+    spec: GraphSpec, layers: Dict[str, Array], node_scaler: Columns, edge_scaler: Columns
 ) -> GraphFit:
     """Return the model that these layers make; it runs on numpy alone.
 
@@ -45,12 +45,12 @@ def from_layers(
     return GraphFit(spec, net.layers, node_scaler, edge_scaler, score)
 
 
-def standardised(graphs: Graphs, node_scaler: Scaler, edge_scaler: Scaler) -> Graphs:
+def standardised(graphs: Graphs, node_scaler: Columns, edge_scaler: Columns) -> Graphs:
     """Return the graphs with scaled features; a model without edges (0 columns) gets none."""
     n_columns = len(edge_scaler.mean)
     return replace(
         graphs,
-        nodes=node_scaler.apply(graphs.nodes),
-        edge_features=edge_scaler.apply(graphs.edge_features[:, :n_columns]),
+        nodes=node_scaler(graphs.nodes),
+        edge_features=edge_scaler(graphs.edge_features[:, :n_columns]),
         edge_names=graphs.edge_names[:n_columns],
     )

@@ -6,6 +6,7 @@ Source: APEX appendix "DG-Motion Attention"; sizes as in the released code (4641
 parameters).
 """
 
+from abc import abstractmethod
 from typing import Dict, Optional, Tuple
 
 import torch
@@ -62,8 +63,9 @@ class SpecModel(EdgeModel):
         state = self.state_dict()
         return self.spec, {name: value.double().numpy().copy() for name, value in state.items()}
 
+    @abstractmethod
     def _make_conv(self) -> torch.nn.Module:
-        raise NotImplementedError
+        """Return the convolution, hidden -> hidden."""
 
     def _convolve(
         self, hidden: torch.Tensor, ways: torch.Tensor, encoded: Optional[torch.Tensor]

@@ -30,7 +30,10 @@ NEAR_M = 0.09
 _HIT, _NEAR, _FAR = 0, 1, 2
 _STATIC = KINDS.index("static")
 _REACH, _SHORT, _PASS, _ROLL, _AWAY, _STILL = range(6)
-_PLAN_SHARE = (0.12, 0.12, 0.16, 0.22, 0.23, 0.15)
+# Chosen on training seeds: 11 % of the frames in which a body moves are within 5 s of its contact,
+# and plain closest approach on an 11-frame line has the average precision (.62) of the study the
+# goals come from.
+_PLAN_SHARE = (0.14, 0.08, 0.13, 0.2, 0.3, 0.15)
 _HAND_SPEED_M_S = (0.06, 0.4)
 _BALL_SPEED_M_S = (0.06, 0.5)
 _START_S = 4.0

@@ -13,9 +13,10 @@ import numpy as np
 
 from apex_edge.triggers import model_file
 from apex_edge.triggers.base import TriggerConfig
+from apex_edge.triggers.feature_sets import FEATURE_SETS, FeatureSet
 from apex_edge.triggers.features import FEATURE_SET
 from apex_edge.triggers.graph_net import GraphSpec
-from apex_edge.triggers.models import FEATURE_SETS, Columns, FeatureSet
+from apex_edge.triggers.models import Columns
 from apex_edge.triggers.weights import check
 from apex_edge.types import Array
 from offline_train.scenes import tabletop_pairs
@@ -79,7 +80,8 @@ def document(
     """Build all fields of a model document, signed.
 
     ``threshold`` None = not certified yet, and no device will use it. ``notes`` holds ``radius_m``
-    (smallest, largest), ``seed``, ``metrics``, and may hold ``platt`` {a, b}.
+    (smallest, largest), ``seed``, ``metrics``, and may hold ``platt`` {a, b}; ``watching``, how
+    the training scenes were watched, and ``provenance`` in place of the usual ones.
 
     Raises
     ------
@@ -93,6 +95,7 @@ def document(
     }
     domain["radius_m"] = notes["radius_m"]
     columns = _plain(trained.columns)
+    watching = notes.get("watching", WATCHING)
     fields: Dict[str, Any] = {
         "format": model_file.FORMAT,
         "format_version": model_file.FORMAT_VERSION,
@@ -102,22 +105,22 @@ def document(
         "feature_names": list(known.names),
         "feature_units": list(known.units),
         "dims": 2,
-        "horizon_s": WATCHING.horizon_s,
-        "fps_range": list(WATCHING.fps),
-        "windows": list(WATCHING.window),
+        "horizon_s": watching.horizon_s,
+        "fps_range": list(watching.fps),
+        "windows": list(watching.window),
         "scaler": {key: columns[key] for key in ("mean", "scale")},
         "clip": {key: columns[key] for key in ("lo", "hi")},
         "threshold": None if threshold is None else certificate(threshold, promise),
         "gate": {key: getattr(config, key) for key in GATE_KEYS},
         "training_range": ranges,
         "domain": domain,
-        "noise_model": {"kind": "white, per axis", "sd_m": list(WATCHING.noise_m)},
-        "provenance": _provenance(notes["seed"]),
+        "noise_model": {"kind": "white, per axis", "sd_m": list(watching.noise_m)},
+        "provenance": notes.get("provenance") or _provenance(notes["seed"]),
         "metrics": notes["metrics"],
     }
     if "platt" in notes:
         fields["platt"] = notes["platt"]
-    fields = with_golden(fields, WATCHING.horizon_s)
+    fields = with_golden(fields, watching.horizon_s)
     fields["sha256"] = model_file.digest(fields)
     return fields
 

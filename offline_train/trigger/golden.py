@@ -21,6 +21,8 @@ _RADIUS_M = (0.03, 0.035, 0.04, 0.05, 0.035, 0.03)
 _SD_M = (0.0005, 0.001, 0.002, 0.003, 0.001, 0.0015)
 _WINDOW = (20, 10, 5, 7, 15, 12)
 _PLANE = [0, 1, 3, 4]
+# The shorter the window, the slower the mover: it slows down.
+_BEND = 1.0
 
 
 def with_golden(fields: Dict[str, Any], horizon_s: float) -> Dict[str, Any]:
@@ -33,23 +35,27 @@ def with_golden(fields: Dict[str, Any], horizon_s: float) -> Dict[str, Any]:
     model = build({**fields, "golden": [], "sha256": ""}, "model to export")
     golden = []
     for rows, movers in _CASES:
-        case = _raw(rows, movers, horizon_s)
+        case = _raw(rows, _WINDOW)
+        case.update(mover=list(movers), horizon_s=horizon_s)
+        windows = model.feature_set.windows
+        if windows:
+            case["windows"] = [_raw(rows, (w,) * len(_WINDOW), _BEND / w) for w in windows]
         came_out = {name: value.tolist() for name, value in replay(model, case).items()}
         golden.append({**case, **came_out})
     return {**fields, "golden": golden}
 
 
-def _raw(rows: Sequence[int], movers: Sequence[int], horizon_s: float) -> Dict[str, Any]:
+def _raw(rows: Sequence[int], window: Sequence[int], bend: float = 0.0) -> Dict[str, Any]:
+    """Return columns of pairs as windows see them; ``bend`` is what they disagree on."""
     wanted: List[int] = list(rows)
-    cov = end_covariance(np.array(_SD_M), np.array(_WINDOW), np.full(6, 1.0 / 30.0), order=2)
+    cov = end_covariance(np.array(_SD_M), np.array(window), np.full(6, 1.0 / 30.0), order=2)
     cov = 2.0 * cov[:, _PLANE][:, :, _PLANE]
     columns = {
         "offset_m": np.array(_OFFSET_M),
-        "mover_vel_m_s": np.array(_MOVER_M_S),
+        "mover_vel_m_s": (1.0 - bend) * np.array(_MOVER_M_S),
         "target_vel_m_s": np.array(_TARGET_M_S),
         "decel_m_s2": np.array(_DECEL_M_S2),
         "radius_m": np.array(_RADIUS_M),
         "cov": cov,
     }
-    case: Dict[str, Any] = {name: column[wanted].tolist() for name, column in columns.items()}
-    return dict(case, mover=list(movers), horizon_s=horizon_s)
+    return {name: column[wanted].tolist() for name, column in columns.items()}

@@ -13,6 +13,8 @@ from apex_edge.triggers.analytic import k_sigma_rule
 from apex_edge.triggers.approach import Pairs
 from apex_edge.triggers.base import TriggerConfig, movers_first, pairs_of, weigh
 from apex_edge.triggers.features import edge_features
+from apex_edge.triggers.wide import wide_features
+from apex_edge.triggers.windows import WINDOWS, fit_lines, line_pairs
 from apex_edge.types import Array, Tracks
 from offline_train.scenes.truth import Truth, scenario
 from offline_train.trigger import estimate
@@ -24,6 +26,7 @@ _ROW_WISE = (
     "frame",
     "centre_moves",
     "features",
+    "wide",
     "rule_probability",
     "rule_hit",
     "label",
@@ -38,8 +41,9 @@ class Watching:
     ``noise_m`` sd per axis (log-uniform), ``fps``, ``window`` frames of the motion fit,
     ``adaptive_share`` of the scenes whose fit looks for bends, ``misjudged`` range of the factor
     by which perception misjudges its own noise, ``n_frames`` watched, ``horizon_s`` of the label.
-    Without ``is_gated`` every pair is a row in every frame, as a study of the classifier alone
-    needs; the device judges only what passes its gate.
+    Without ``is_gated`` every pair is a row, as a study of the classifier alone needs; the device
+    judges only what passes its gate. Every ``stride``-th frame is judged, the last one included;
+    a vote needs them all. ``is_wide``: the features of several windows are worked out too.
     """
 
     noise_m: Tuple[float, float] = (0.0005, 0.003)
@@ -50,6 +54,8 @@ class Watching:
     n_frames: int = 150
     horizon_s: float = 5.0
     is_gated: bool = True
+    stride: int = 1
+    is_wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,9 +64,10 @@ class Observed:
 
     r rows, those frames in which the pair passes the gate and can touch: ``pair (r,)``,
     ``frame (r,)``, ``geometry`` the pairs as the device sees them, ``centre_moves (r,)`` the mover
-    is the scene's centre body, ``features (r, 12)``, ``rule_probability``, ``rule_hit (r,)`` of the
-    k-sigma rule, ``label (r,)`` true contact within the horizon, ``soft (r,)`` its probability
-    from perturbed roll-outs, NaN where none were made. Per pair: ``scene``, ``body`` (1 to k),
+    is the scene's centre body, ``features (r, 12)``, ``wide (r, k)`` of several windows (k = 0
+    when not asked for), ``rule_probability``, ``rule_hit (r,)`` of the k-sigma rule,
+    ``label (r,)`` true contact within the horizon, ``soft (r,)`` its probability from perturbed
+    roll-outs, NaN where none were made. Per pair: ``scene``, ``body`` (1 to k),
     ``kind``, ``contact_s``, ``frame_s``, ``horizon_s (n,)``. ``is_judged (n, f)`` a full window
     lies before contact; ``is_clear (n, f)`` and the true mover is faster than the gate by a
     quarter.
@@ -71,6 +78,7 @@ class Observed:
     geometry: Pairs
     centre_moves: Array
     features: Array
+    wide: Array
     rule_probability: Array
     rule_hit: Array
     label: Array
@@ -133,6 +141,17 @@ def _is_row_wise(name: str) -> bool:
     return name in _ROW_WISE or name.startswith("geometry.")
 
 
+class _Look(NamedTuple):
+    """What is looked at and what is seen of it; ``seen`` and ``fits`` the centre body first."""
+
+    truth: Truth
+    sensing: Sensing
+    seen: List[Array]
+    fits: List[Fit]
+    watching: Watching
+    config: TriggerConfig
+
+
 class _Rows(NamedTuple):
     """Which scene, other body and frame each row of a table is about, (r,) each."""
 
@@ -190,18 +209,17 @@ def look(
     n_scenes, n_others = truth.kind.shape
     times = np.arange(watching.n_frames) * truth.frame_s[:, None]
     bodies = [truth.centre_m] + [truth.other_m[:, i] for i in range(n_others)]
-    fits = [
-        estimate.fit(body + rng.normal(size=body.shape) * sensing.sd_m[:, None, None], sensing)
-        for body in bodies
-    ]
-    is_full = np.arange(watching.n_frames) >= sensing.window[:, None] - 1
+    seen = [body + rng.normal(size=body.shape) * sensing.sd_m[:, None, None] for body in bodies]
+    fits = [estimate.fit(sightings, sensing) for sightings in seen]
+    frames = np.arange(watching.n_frames)
+    is_full = frames >= sensing.window[:, None] - 1
     is_judged = is_full[:, None] & (times[:, None] < truth.contact_s[:, :, None])
-    rows = _Rows(*np.nonzero(is_judged))
+    is_asked = is_judged & ((frames - frames[-1]) % watching.stride == 0)
+    rows = _Rows(*np.nonzero(is_asked))
+    scene = _Look(truth, sensing, seen, fits, watching, config)
     found = [
-        _judge_rows(
-            truth, sensing, fits, _Rows(*(part[a : a + _CHUNK] for part in rows)), config, watching
-        )
-        for a in range(0, max(1, len(rows.scene)), _CHUNK)
+        _judge_rows(scene, _Rows(*(part[first : first + _CHUNK] for part in rows)))
+        for first in range(0, max(1, len(rows.scene)), _CHUNK)
     ]
     columns = {key: np.concatenate([part[key] for part in found]) for key in found[0]}
     is_clear = [_is_clear(truth, i, sensing, config) for i in range(n_others)]
@@ -260,16 +278,10 @@ def _is_clear(truth: Truth, other: int, sensing: Sensing, config: TriggerConfig)
     return clear
 
 
-def _judge_rows(
-    truth: Truth,
-    sensing: Sensing,
-    fits: List[Fit],
-    rows: _Rows,
-    config: TriggerConfig,
-    watching: Watching,
-) -> Dict[str, Array]:
+def _judge_rows(look: _Look, rows: _Rows) -> Dict[str, Array]:
     """Run the device's code over rows of (scene, other body, frame); return those it judges."""
-    tracks, frame_s = _as_tracks(truth, sensing, fits, rows)
+    watching, config = look.watching, look.config
+    tracks, frame_s = _as_tracks(look, rows)
     edges, is_moving = movers_first(tracks, np.arange(len(frame_s)).reshape(-1, 2), config)
     keep = np.flatnonzero(is_moving | (not watching.is_gated))
     pairs = pairs_of(tracks, edges[keep], frame_s)
@@ -279,10 +291,11 @@ def _judge_rows(
     keep, evidence = keep[can], evidence.take(can)
     rule = k_sigma_rule(evidence, config.k_sigma)
     columns = {
-        "pair": rows.scene[keep] * truth.kind.shape[1] + rows.other[keep],
+        "pair": rows.scene[keep] * look.truth.kind.shape[1] + rows.other[keep],
         "frame": rows.frame[keep],
         "centre_moves": edges[keep, 0] % 2 == 1,
         "features": edge_features(evidence.pairs, evidence.approach, watching.horizon_s),
+        "wide": _wide(look, _Rows(*(part[keep] for part in rows)), evidence.pairs, edges[keep]),
         "rule_probability": rule.probability,
         "rule_hit": rule.is_hit,
     }
@@ -291,15 +304,38 @@ def _judge_rows(
     return columns
 
 
-def _as_tracks(
-    truth: Truth, sensing: Sensing, fits: List[Fit], rows: _Rows
-) -> Tuple[Tracks, Array]:
+def _wide(look: _Look, rows: _Rows, pairs: Pairs, edges: Array) -> Array:
+    """Return the features of several windows (r, k).
+
+    Until the longest window is full its line runs through the frames there are, as on the device;
+    its covariance says how little that is.
+    """
+    n = len(rows.scene)
+    if not look.watching.is_wide:
+        return np.zeros((n, 0))
+    # As in _as_tracks: the other body is at 2r, the centre at 2r + 1.
+    back = np.arange(1 - max(WINDOWS), 1)
+    frame = rows.frame[:, None] + back
+    scene, spot = rows.scene[:, None], np.maximum(frame, 0)
+    others = np.stack(look.seen[1:])[rows.other[:, None], scene, spot]
+    seen = np.stack([others, look.seen[0][scene, spot]], axis=1).reshape(2 * n, len(back), 2)
+    time = np.where(frame >= 0, frame * look.truth.frame_s[scene], np.nan)
+    time, told = np.repeat(time, 2, axis=0), np.repeat(look.sensing.told_sd_m[rows.scene], 2)
+    mover = 2 * np.arange(n) + edges[:, 0] % 2
+    ends = np.column_stack([mover, mover ^ 1])
+    lines = [fit_lines(time[:, -w:], seen[:, -w:], told) for w in WINDOWS]
+    views = [line_pairs(line, ends, pairs.radius_m) for line in lines]
+    return wide_features(views, look.watching.horizon_s)
+
+
+def _as_tracks(look: _Look, rows: _Rows) -> Tuple[Tracks, Array]:
     """Lay the pair of each row out as two tracks, the other body 2r and the centre 2r + 1."""
+    truth, sensing = look.truth, look.sensing
     n = 2 * len(rows.scene)
     position, velocity, acc = (np.zeros((n, 3)) for _ in range(3))
     cov = np.zeros((n, 6, 6))
     spots = (rows.scene, rows.frame)
-    for number, fit in enumerate(fits):
+    for number, fit in enumerate(look.fits):
         mine = np.flatnonzero(rows.other == number - 1) if number else np.arange(len(rows.scene))
         into = 2 * mine + (0 if number else 1)
         spot = (spots[0][mine], spots[1][mine])
@@ -326,5 +362,7 @@ def _as_tracks(
         is_manoeuvre=np.zeros(n, dtype=bool),
         is_blurred=np.zeros(n, dtype=bool),
         smooth_m=position,
+        seen_m=np.full((n, 3), np.nan),
+        seen_sd_m=np.full(n, np.nan),
     )
     return tracks, truth.frame_s[owner]

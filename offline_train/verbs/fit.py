@@ -1,4 +1,4 @@
-"""``apex train fit``: fit one model, or train one of the paper's three as the paper does.
+"""``apex train fit``: fit one model to watched scenes, or train the paper's as the paper does.
 
 The shipped reproduction files were made by these commands, with NAME each of ``diffgraphormer``,
 ``diffgat`` and ``diffgcn``::
@@ -10,15 +10,25 @@ The shipped reproduction files were made by these commands, with NAME each of ``
 
 import argparse
 import json
+import platform
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Dict, Optional, Tuple
+from typing import Any, Dict, Optional, Tuple
 
+import numpy as np
+
+from apex_edge import plugins
 from apex_edge.errors import ApexError
-from apex_edge.triggers import model_file
+from apex_edge.triggers import model_file, weights
 from apex_edge.triggers.graph_net import ARCHITECTURES
 from apex_edge.verbs.progress import Progress
 from offline_train.graph_models import files, paper
+from offline_train.trigger import data, learn
+from offline_train.trigger.export import Trained, write
+from offline_train.trigger.fit import sklearn_module
+from offline_train.trigger.learn import LABELS, LINEAR
+from offline_train.trigger.metrics import frame_figures
+from offline_train.trigger.observe import Observed
 
 HELP = "fit a model on generated scenes, or train the paper's graph models as the paper does"
 EXAMPLE = "apex train fit --paper --repo-quirks --model diffgraphormer --seed 1 --out paper.npz"
@@ -27,10 +37,16 @@ _QUIRKS = {f.name[len("is_") :].replace("_", "-"): f.name for f in fields(paper.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--model", required=True, metavar="NAME", help="model to train")
+    known = ", ".join([LINEAR, *plugins.names("graph_models")])
+    parser.add_argument("--model", required=True, metavar="NAME", help=known)
     parser.add_argument("--seed", type=int, required=True, help="same seed, same bytes")
     parser.add_argument("--out", type=Path, required=True, help="model file to write (.npz, .json)")
-    parser.add_argument("--paper", action="store_true", help="the paper's stars and training")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--data", type=Path, metavar="DIR", help="see apex train generate")
+    source.add_argument("--paper", action="store_true", help="the paper's stars and training")
+    parser.add_argument(
+        "--label", choices=LABELS, default="truth", help="with --data: what to learn (truth)"
+    )
     parser.add_argument(
         "--repo-quirks", action="store_true", help="with --paper: all quirks of the released code"
     )
@@ -41,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=sorted(_QUIRKS),
         help="with --paper: this quirk alone, may be repeated",
     )
-    parser.add_argument("--epochs", type=int, help="passes over the data (paper: 100)")
+    parser.add_argument("--epochs", type=int, help="passes over the data (15; paper: 100)")
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
@@ -52,11 +68,17 @@ def run(args: argparse.Namespace) -> int:
     ------
     MissingExtraError, ApexError : nothing is written.
     """
-    _check(args)
-    return _run_paper(args)
+    check(args)
+    return _run_paper(args) if args.paper else _run_data(args)
 
 
-def _check(args: argparse.Namespace) -> None:
+def check(args: argparse.Namespace) -> None:
+    """Refuse options that make no sense, before any work.
+
+    Raises
+    ------
+    ApexError : says which and why.
+    """
     if args.seed < 0:
         raise ApexError(f"--seed {args.seed}: must be 0 or more")
     if args.epochs is not None and args.epochs < 1:
@@ -65,6 +87,48 @@ def _check(args: argparse.Namespace) -> None:
         raise ApexError(f"--out {args.out}: its folder does not exist")
     if args.out.suffix not in (".npz", ".json"):
         raise ApexError(f"--out {args.out}: a model file ends in .npz or .json")
+
+
+def _run_data(args: argparse.Namespace) -> int:
+    if args.repo_quirks or args.quirk:
+        raise ApexError("--repo-quirks and --quirk go with --paper")
+    seen, description = data.read(args.data, "train")
+    target = learn.targets(seen, args.label)
+    n_epochs = args.epochs or learn.N_EPOCHS
+    with Progress("epochs", n_epochs) as progress:
+        trained = learn.fit(seen, target, args.model, args.seed, n_epochs, progress.advance)
+    made = {"label": args.label, "model": args.model, "seed": args.seed}
+    return finish(args, trained, (seen, description), made)
+
+
+def finish(
+    args: argparse.Namespace,
+    trained: Trained,
+    source: Tuple[Observed, data.Description],
+    made: Dict[str, Any],
+) -> int:
+    """Write the model file, not yet certified, and print how it does on its own scenes."""
+    fields_now = learn.document(trained, *source, dict(made, libraries=libraries(trained)))
+    write(fields_now, args.out)
+    seen = source[0]
+    said = learn.said_by(weights.check(fields_now, str(args.out)), seen)
+    found = frame_figures(seen.label.astype(bool), said)
+    if args.json:
+        print(json.dumps(found, sort_keys=True))
+        return 0
+    print(f"on its own {len(said)} frames, contact within the horizon as the truth:")
+    print("\n".join(f"  {name:22s}{_cell(value)}" for name, value in found.items()))
+    print(f"wrote {args.out}; not certified: apex train calibrate makes it usable")
+    return 0
+
+
+def libraries(trained: Trained) -> Dict[str, str]:
+    """Return the versions that the bytes of a trained model depend on."""
+    if trained.keys["kind"] == "graph":
+        return files.libraries()
+    found = {"python": platform.python_version(), "numpy": np.__version__}
+    found["scikit-learn"] = sklearn_module("sklearn").__version__
+    return found
 
 
 def _run_paper(args: argparse.Namespace) -> int:

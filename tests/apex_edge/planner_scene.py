@@ -51,6 +51,8 @@ def tracks(
         is_manoeuvre=np.zeros(n, dtype=bool),
         is_blurred=np.zeros(n, dtype=bool),
         smooth_m=pos,
+        seen_m=pos,
+        seen_sd_m=np.full(n, 0.001),
     )
 
 

@@ -90,6 +90,8 @@ def tracks(of: Frame, camera: Optional[CameraModel]) -> Tracks:
         is_manoeuvre=np.zeros(2, dtype=bool),
         is_blurred=np.zeros(2, dtype=bool),
         smooth_m=pos,
+        seen_m=pos,
+        seen_sd_m=np.full(2, 0.001),
     )
 
 

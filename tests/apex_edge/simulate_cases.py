@@ -64,6 +64,8 @@ def tracks(**changes):
         "is_manoeuvre": np.zeros(n, dtype=bool),
         "is_blurred": np.zeros(n, dtype=bool),
         "smooth_m": np.zeros((n, 3)),
+        "seen_m": np.zeros((n, 3)),
+        "seen_sd_m": np.full(n, 0.001),
     }
     values.update(changes)
     return Tracks(**values)

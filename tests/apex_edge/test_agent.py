@@ -163,6 +163,8 @@ def head_on(names: Tuple[str, str]) -> Tuple[HazardScores, Tracks]:
         is_manoeuvre=np.array([False, False]),
         is_blurred=np.array([False, False]),
         smooth_m=np.zeros((2, 3)),
+        seen_m=np.zeros((2, 3)),
+        seen_sd_m=np.full(2, 0.001),
     )
     one = np.array([1.0])
     scores = HazardScores(

@@ -34,6 +34,8 @@ def tracks(pos_m, vel_m_s=None, seq=1, t_s=1.0, sd_m=0.001, sd_m_s=0.004, **chan
         "is_manoeuvre": np.zeros(n, dtype=bool),
         "is_blurred": np.zeros(n, dtype=bool),
         "smooth_m": pos.copy(),
+        "seen_m": pos.copy(),
+        "seen_sd_m": np.full(n, 0.001),
     }
     values.update(changes)
     return Tracks(**values)

@@ -1,0 +1,182 @@
+"""Fit any model on watched scenes, from a label or from what a teacher says of each pair.
+
+Rows of one approach are alike, so only some frames of each scene are learnt from; a graph model
+gets whole frames, every pair that was seen at once. Source: ours.
+"""
+
+from dataclasses import asdict
+from typing import Any, Callable, Dict, Optional, Tuple
+
+import numpy as np
+
+from apex_edge import plugins
+from apex_edge.errors import ApexError
+from apex_edge.triggers.base import TriggerConfig
+from apex_edge.triggers.features import FEATURE_NAMES, FEATURE_SET
+from apex_edge.triggers.models import FEATURE_SETS, LinearWeights, Model
+from apex_edge.triggers.stars import NODE_NAMES, stars
+from apex_edge.types import Array
+from offline_train.graph_models.batches import Graphs
+from offline_train.graph_models.need import graph_module
+from offline_train.scenes.star import RISK_TAU
+from offline_train.trigger import baselines, export
+from offline_train.trigger.calibrate import Promise
+from offline_train.trigger.data import Description
+from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, thin
+from offline_train.trigger.observe import Observed
+from offline_train.trigger.scaling import fitted
+
+LABELS = ("truth", "soft", "paper-risk", "designed")
+LINEAR, CEILING = "linear12", "gbm-ceiling"
+N_EPOCHS = 15
+# Stars of a table are small: 256 make a step about as dear as 32 of the paper's graphs.
+BATCH_SIZE = 256
+DROPOUT = 0.1
+
+
+def targets(seen: Observed, label: str) -> Array:
+    """Return what a model is to say of each row (r,): 0 or 1, or a probability.
+
+    Parameters
+    ----------
+    label : "truth" contact within the horizon; "soft" its probability from perturbed roll-outs;
+        "paper-risk" the paper's risk above 0.75.
+
+    Raises
+    ------
+    ApexError : these scenes have no such label.
+    """
+    if label == "truth":
+        return seen.label.astype(np.float64)
+    if label == "soft":
+        if not np.all(np.isfinite(seen.soft)):
+            raise ApexError("label soft: these scenes were drawn without perturbed roll-outs")
+        return seen.soft
+    if label == "paper-risk":
+        risk = baselines.paper_risk(seen)
+        if risk.size and risk.max() <= RISK_TAU:
+            raise ApexError(
+                f"label paper-risk: the risk reaches {risk.max():.2f} here and never {RISK_TAU}; "
+                "it is no measure of metres and m/s, use truth or soft"
+            )
+        return (risk > RISK_TAU).astype(np.float64)
+    raise ApexError(f"label {label}: only the paper's stars have it; see apex train fit --paper")
+
+
+def fit(
+    seen: Observed,
+    target: Array,
+    name: str,
+    seed: int,
+    n_epochs: int = N_EPOCHS,
+    on_epoch: Optional[Callable[[], None]] = None,
+) -> export.Trained:
+    """Fit a linear model, or a graph model registered by name, to targets (r,).
+
+    Raises
+    ------
+    MissingExtraError : scikit-learn, PyTorch or PyTorch Geometric is not installed.
+    PluginError : no model of that name.
+    ApexError : nothing to tell apart, or a model that no device could run.
+    """
+    if name == LINEAR:
+        rows = thin(seen.pair, ROWS_PER_PAIR, seed)
+        return export.linear(fit_rows(seen.features[rows], target[rows], FEATURE_NAMES))
+    if name == CEILING:
+        raise ApexError(
+            f"{name}: no device runs boosted trees; apex train evaluate sets them beside a model"
+        )
+    training = graph_module("offline_train.graph_models.training")
+    make = plugins.load("graph_models", name)
+    rows = whole_frames(seen, seed)
+    graphs, _ = watched_graphs(seen, target, rows)
+    options = training.Options(seed=seed, n_epochs=n_epochs, batch_size=BATCH_SIZE)
+    found = training.fit(
+        lambda: make(NODE_NAMES, FEATURE_NAMES, DROPOUT), graphs, options, on_epoch
+    )
+    if found.spec is None:
+        raise ApexError(f"{name} has no form the device can run, so there is no file to write")
+    features = seen.features[rows]
+    columns = found.edge_scaler
+    if len(columns.mean) != len(FEATURE_NAMES):
+        columns = fitted(features, FEATURE_NAMES)  # it reads no edges, but the file has a scaler
+    return export.Trained(
+        keys=export.graph_keys(found.spec, found.layers, found.node_scaler),
+        feature_set=FEATURE_SETS[FEATURE_SET],
+        columns=columns,
+        low=features.min(axis=0),
+        high=features.max(axis=0),
+    )
+
+
+def said_by(teacher: Model, seen: Observed) -> Array:
+    """Return the probability (r,) that a device's model gives each row, frame by frame."""
+    if isinstance(teacher, LinearWeights):
+        return teacher.probability(teacher.logit(seen.features))
+    movers = seen.bodies[:, 0]
+    # a mover of another frame is another mover
+    key = seen.group * (1 + int(movers.max(initial=0))) + movers
+    return teacher.probability(teacher.logit(seen.features, seen.geometry, key))
+
+
+def whole_frames(seen: Observed, seed: int) -> Array:
+    """Return the row indices of a few random frames of each scene, with all their pairs."""
+    _, first, frame = np.unique(seen.group, return_index=True, return_inverse=True)
+    kept = np.zeros(len(first), dtype=bool)
+    kept[thin(seen.scene[seen.pair[first]], ROWS_PER_PAIR, seed)] = True
+    return np.flatnonzero(kept[frame])
+
+
+def watched_graphs(seen: Observed, target: Array, rows: Array) -> Tuple[Graphs, Array]:
+    """Return the stars of these rows as the device builds them, one graph each.
+
+    Returns
+    -------
+    graphs, with ``target`` as labels, and the row (R,) that each edge stands for.
+    """
+    part = seen.take(rows)
+    found = stars(part.geometry, part.bodies[:, 0], part.group)
+    order = np.argsort(found.edges[0], kind="stable")
+    star, far = found.edges[:, order]
+    n_edges = np.bincount(star)
+    edge_start = np.r_[0, np.cumsum(n_edges)]
+    node_start = np.r_[0, np.cumsum(n_edges + 1)]
+    place = node_start[star] + 1 + np.arange(len(star)) - edge_start[star]
+    nodes = np.empty_like(found.nodes)
+    nodes[node_start[:-1]] = found.nodes[: len(n_edges)]
+    nodes[place] = found.nodes[far]
+    graphs = Graphs(
+        nodes=nodes,
+        edges=np.stack([node_start[star], place]),
+        edge_features=part.features[order],
+        labels=target[rows][order],
+        node_start=node_start,
+        edge_start=edge_start,
+        node_names=NODE_NAMES,
+        edge_names=FEATURE_NAMES,
+    )
+    return graphs, rows[order]
+
+
+def document(
+    trained: export.Trained, seen: Observed, description: Description, made: Dict[str, Any]
+) -> Dict[str, Any]:
+    """Return the model document, not yet certified; ``made`` joins its provenance.
+
+    Raises
+    ------
+    WeightsError : the device would not build this model.
+    """
+    radius = seen.geometry.radius_m
+    notes = {
+        "radius_m": [float(radius.min()), float(radius.max())],
+        "watching": description.watching,
+        "provenance": {
+            "generator": description.scenario,
+            "generator_version": description.version,
+            "data": {k: v for k, v in asdict(description).items() if k != "watching"},
+            **made,
+        },
+        "metrics": {},
+    }
+    return export.document(trained, None, Promise(), TriggerConfig(), notes)
