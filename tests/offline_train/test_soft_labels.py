@@ -6,8 +6,7 @@ from apex_edge.triggers.base import TriggerConfig
 from apex_edge.triggers.features import FEATURE_NAMES
 from offline_train.scenes import mujoco_world
 from offline_train.trigger import metrics, seeds, soft
-from offline_train.trigger.distill import linear_student
-from offline_train.trigger.fit import thin
+from offline_train.trigger.fit import fit_rows, thin
 from offline_train.trigger.observe import Watching, observe
 
 pytest.importorskip("mujoco")
@@ -124,6 +123,6 @@ def test_soft_labels_teach_a_linear_student_that_stands_hard_truth(softened):
     seen, rows = softened
     few = seen.take(rows[: len(rows) // 4])
     rest = seen.take(rows[len(rows) // 4 :])
-    student = linear_student(few.features, FEATURE_NAMES, few.soft)
+    student = fit_rows(few.features, few.soft, FEATURE_NAMES)
     found = metrics.frame_figures(rest.label, student.logit(rest.features))
     assert found["roc_auc"] > 0.8

@@ -44,7 +44,7 @@ class _Trial(NamedTuple):
 
 
 _TRIALS = (
-    _Trial(tabletop_pairs.NAME, (25, 100, 400, 800), 3000, True),
+    _Trial(tabletop_pairs.NAME, (50, 100, 400, 800), 3000, True),
     _Trial(mujoco_table.NAME, (25, 75), 75, False),
 )
 
