@@ -6,6 +6,8 @@ from setuptools import find_packages, setup
 
 # On 32-bit ARM there are no wheels on PyPI: apt's python3-numpy and python3-opencv serve there.
 NOT_ARM32 = " and ".join(f'platform_machine != "{arm}"' for arm in ("armv6l", "armv7l", "armv8l"))
+# results one by one, as they come
+JOBLIB = 'joblib>=1.4; python_version >= "3.8"'
 HERE = Path(__file__).resolve().parent
 
 setup(
@@ -45,9 +47,9 @@ setup(
     ],
     extras_require={
         # linear triggers and reports
-        "train": ["scikit-learn>=1.0", "joblib>=1.2", "matplotlib>=3.5"],
+        "train": ["scikit-learn>=1.0", JOBLIB, "matplotlib>=3.5"],
         # simulated truth
-        "offline": ["scikit-learn>=1.0", "joblib>=1.2", "matplotlib>=3.5", "mujoco>=2.3"],
+        "offline": ["scikit-learn>=1.0", JOBLIB, "matplotlib>=3.5", "mujoco>=2.3"],
         # graph models; one exact torch, since a later one may pull gigabytes
         "graph": [
             'torch==2.13.0; python_version >= "3.10"',
@@ -55,7 +57,7 @@ setup(
         ],
         # shards on several machines; sweeps over settings
         "distributed": ["dask[distributed]>=2022.2"],
-        "sweep": ["optuna>=3.0"],
+        "sweep": ["optuna>=4.9"],
         # drivers of depth cameras: docs/depth-cameras.md says which machine has a package
         "realsense": ["pyrealsense2>=2.50"],
         "oak": ["depthai>=2.24,<3"],
@@ -153,6 +155,7 @@ setup(
             "evaluate = offline_train.verbs.evaluate",
             "export = offline_train.verbs.export",
             "verify = offline_train.verbs.verify",
+            "sweep = offline_train.verbs.sweep",
         ],
         "apex_edge.arm_actions": [
             "ports = firmware_bridge.verbs.ports",

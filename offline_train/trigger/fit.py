@@ -10,10 +10,10 @@ from apex_edge.errors import ApexError
 from apex_edge.triggers.features import FEATURE_NAMES
 from apex_edge.types import Array
 from offline_train.trigger.observe import Observed
+from offline_train.trigger.scaling import LIMIT_SD, fitted
 
 # Frames of one approach are alike; a few of each are enough.
 ROWS_PER_PAIR = 12
-_LIMIT_SD = 4.0
 
 
 class MissingExtraError(ApexError):
@@ -65,57 +65,58 @@ def sklearn_module(name: str) -> Any:
         ) from error
 
 
-def fit(train: Observed, seed: int, is_soft: bool = False) -> LinearFit:
-    """Fit without class weights, so that the probability means what it says.
-
-    ``is_soft`` learns from ``train.soft`` by soft cross-entropy: each row stands twice, as a
-    contact with weight p and as none with weight 1 - p.
-
-    Raises
-    ------
-    ApexError : a row that is learnt from has no soft label.
-    """
+def fit(train: Observed, seed: int) -> LinearFit:
+    """Fit to the truth of a few frames of each pair."""
     rows = thin(train.pair, ROWS_PER_PAIR, seed)
-    target = train.soft[rows] if is_soft else train.label[rows]
-    if not np.isfinite(target).all():
-        raise ApexError(f"{int(np.sum(np.isnan(target)))} training rows have no soft label")
-    return fit_rows(train.features[rows], target, FEATURE_NAMES)
+    return fit_rows(train.features[rows], train.label[rows], FEATURE_NAMES)
 
 
 def fit_rows(
-    features: Array, target: Array, names: Sequence[str], solver: str = "lbfgs"
+    features: Array,
+    target: Array,
+    names: Sequence[str],
+    strength: float = 1.0,
+    limit_sd: float = LIMIT_SD,
+    solver: str = "lbfgs",
 ) -> LinearFit:
-    """Fit to rows (m, k) whose columns have these names, all of them with the same weight.
+    """Fit logistic regression without class weights, so that the probability means what it says.
 
-    ``target (m,)`` is a label, or a probability that counts as a contact with weight p and as none
-    with weight 1 - p.
-    ``solver`` is scikit-learn's; on many columns that are much alike "newton-cholesky" takes a
-    tenth of the time.
+    A soft target counts as a positive with its own weight and as a negative with the rest: soft
+    cross-entropy.
+
+    Parameters
+    ----------
+    features : (m, k), their columns named by ``names``.
+    target : (m,) in [0, 1]; hard labels are the special case.
+    strength : C, the inverse of the regularisation.
+    limit_sd : where z and reach are clipped.
+    solver : scikit-learn's; on many columns that are much alike "newton-cholesky" takes a tenth
+        of the time.
+
+    Raises
+    ------
+    MissingExtraError : scikit-learn is not installed.
+    ApexError : a target outside [0, 1], or targets that are all 0 or all 1.
     """
-    clip_lo, clip_hi = features.min(axis=0), features.max(axis=0)
-    for name in ("z", "reach", "z_pos", "reach_pos"):
-        if name in names:
-            column = names.index(name)
-            clip_lo[column] = max(clip_lo[column], -_LIMIT_SD)
-            clip_hi[column] = min(clip_hi[column], _LIMIT_SD)
-    clipped = np.clip(features, clip_lo, clip_hi)
-    mean, scale = clipped.mean(axis=0), clipped.std(axis=0)
-    # A column that never changes says nothing.
-    scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = (clipped - mean) / scale
+    target = target.astype(np.float64)
+    if not np.all((target >= 0.0) & (target <= 1.0)):
+        n_bad = int(np.count_nonzero(~((target >= 0.0) & (target <= 1.0))))
+        raise ApexError(f"{n_bad} of {len(target)} training rows have no label between 0 and 1")
+    columns = fitted(features, names, limit_sd)
+    weight = np.concatenate([target, 1.0 - target])
+    counts = weight > 0.0
+    label = np.repeat([True, False], len(target))[counts]
+    if label.all() or not label.any():
+        raise ApexError("the targets are all alike: there is nothing to tell apart")
+    rows = np.tile(np.arange(len(target)), 2)[counts]
     linear = sklearn_module("sklearn.linear_model")
-    model = linear.LogisticRegression(solver=solver, max_iter=5000, tol=1e-8)
-    if target.dtype == bool:
-        model.fit(scaled, target)
-    else:
-        label = np.repeat([True, False], len(target))
-        weight = np.concatenate([target, 1.0 - target])
-        model.fit(np.concatenate([scaled, scaled]), label, sample_weight=weight)
+    model = linear.LogisticRegression(C=strength, solver=solver, max_iter=5000, tol=1e-8)
+    model.fit(columns(features)[rows], label, sample_weight=weight[counts])
     return LinearFit(
-        clip_lo=clip_lo,
-        clip_hi=clip_hi,
-        mean=mean,
-        scale=scale,
+        clip_lo=columns.lo,
+        clip_hi=columns.hi,
+        mean=columns.mean,
+        scale=columns.scale,
         weight=model.coef_[0],
         bias=float(model.intercept_[0]),
         low=features.min(axis=0),

@@ -12,8 +12,9 @@ import numpy as np
 from apex_edge import plugins
 from apex_edge.errors import ApexError
 from apex_edge.triggers.base import TriggerConfig
+from apex_edge.triggers.feature_sets import FEATURE_SETS
 from apex_edge.triggers.features import FEATURE_NAMES, FEATURE_SET
-from apex_edge.triggers.models import FEATURE_SETS, LinearWeights, Model
+from apex_edge.triggers.models import LinearWeights, Model
 from apex_edge.triggers.stars import NODE_NAMES, stars
 from apex_edge.types import Array
 from offline_train.graph_models.batches import Graphs
@@ -22,8 +23,7 @@ from offline_train.scenes.star import RISK_TAU
 from offline_train.trigger import baselines, export
 from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.data import Description
-from offline_train.trigger.distill import linear_student
-from offline_train.trigger.fit import ROWS_PER_PAIR, thin
+from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, thin
 from offline_train.trigger.observe import Observed
 from offline_train.trigger.scaling import fitted
 
@@ -82,7 +82,7 @@ def fit(
     """
     if name == LINEAR:
         rows = thin(seen.pair, ROWS_PER_PAIR, seed)
-        return export.linear(linear_student(seen.features[rows], FEATURE_NAMES, target[rows]))
+        return export.linear(fit_rows(seen.features[rows], target[rows], FEATURE_NAMES))
     if name == CEILING:
         raise ApexError(
             f"{name}: no device runs boosted trees; apex train evaluate sets them beside a model"

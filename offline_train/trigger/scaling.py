@@ -20,15 +20,15 @@ def identity(n_columns: int) -> Columns:
     return Columns(-_FAR * one, _FAR * one, zero, one)
 
 
-def fitted(values: Array, names: Sequence[str]) -> Columns:
+def fitted(values: Array, names: Sequence[str], limit_sd: float = LIMIT_SD) -> Columns:
     """Return the clip and scale of training values (m, k): range, and mean and sd after clipping.
 
-    Columns named in ``LIMITED`` are clipped to ``LIMIT_SD``; a constant column keeps scale 1.
+    Columns named in ``LIMITED`` are clipped to ``limit_sd``; a constant column keeps scale 1.
     """
     lo, hi = values.min(axis=0), values.max(axis=0)
     limited = np.array([name in LIMITED for name in names], dtype=bool)
-    lo = np.where(limited, np.maximum(lo, -LIMIT_SD), lo)
-    hi = np.where(limited, np.minimum(hi, LIMIT_SD), hi)
+    lo = np.where(limited, np.maximum(lo, -limit_sd), lo)
+    hi = np.where(limited, np.minimum(hi, limit_sd), hi)
     hi = np.maximum(lo, hi)
     columns = Columns(lo, hi, np.zeros(len(lo)), np.ones(len(lo)))
     clipped = columns.clipped(values)

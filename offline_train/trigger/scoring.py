@@ -6,9 +6,9 @@ import numpy as np
 
 from apex_edge.errors import WeightsError
 from apex_edge.triggers import weights
-from apex_edge.triggers.approach import closest
 from apex_edge.triggers.models import GraphWeights, Model
 from apex_edge.triggers.stars import nodes_as, stars
+from apex_edge.triggers.wide import WIDE_SET
 from apex_edge.types import Array
 from offline_train.trigger.observe import Observed
 
@@ -80,6 +80,8 @@ def _features(model: Model, seen: Observed) -> Array:
         raise WeightsError(
             f"the model looks {model.horizon_s:g} s ahead, the data {horizons.tolist()} s"
         )
-    approach = closest(seen.geometry, model.horizon_s)
-    features: Array = model.feature_set.compute(seen.geometry, approach, model.horizon_s)
-    return features
+    if model.feature_set.name != WIDE_SET:
+        return seen.features
+    if not seen.wide.shape[1]:
+        raise WeightsError("the model needs wide features, but the scenes were watched without")
+    return seen.wide

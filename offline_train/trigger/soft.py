@@ -9,8 +9,9 @@ friction, so each mover is a body on a MuJoCo rail with friction loss: the same 
 wheels on the ground (held to it by a test) at a ninth of the cost. What matters of the kind is the
 way left until it rests. No simulator knows what a hand means to do: half of all movers run on at
 constant speed, the other half come to rest after a way that is log-uniform from 2 cm to 1.5 m; a
-slowing down that perception has proven is taken from a normal about what it measured. Source:
-facts of conjunction assessment and of soft distillation; ours.
+slowing down that perception has proven is taken from a normal about what it measured. Where that
+prior is wrong the labels are wrong with it: mix the truth in (``distill.soft_target``) and look at
+their own calibration. Source: ours.
 """
 
 from dataclasses import dataclass, replace
@@ -42,8 +43,6 @@ _STILL_SD = 3.0
 # Of a parabola over a window T: sd of the acceleration = 1.94 sd_v / T, and T = 4.62 sd_p / sd_v.
 _ACC_SD = 0.42
 _PROVEN_SD = 1.6449
-_ROW_FIELDS = ("pair", "frame", "centre_moves", "features", "rule_probability", "rule_hit")
-_ROW_FIELDS += ("label", "soft")
 
 
 @dataclass(frozen=True)
@@ -75,12 +74,6 @@ def soften(
     soft = seen.soft.copy()
     soft[rows] = probability(seen.geometry.take(rows), horizon_s, rng, n_rollouts)
     return replace(seen, soft=soft)
-
-
-def keep_rows(seen: Observed, rows: Array) -> Observed:
-    """Return the same pairs with the given rows alone, as those that have a soft label."""
-    table = {name: getattr(seen, name)[rows] for name in _ROW_FIELDS}
-    return replace(seen, geometry=seen.geometry.take(rows), **table)
 
 
 def probability(pairs: Pairs, horizon_s: Array, rng: np.random.Generator, n: int) -> Array:

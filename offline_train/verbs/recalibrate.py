@@ -1,8 +1,7 @@
 """``apex train recalibrate``: certify a model's threshold anew on recordings of your own rig.
 
 A certificate holds for scenes like those it was made on. On another table, camera or with other
-hands its promise is void until it has been made anew; this is how. Source: APEX section
-"Discussion" (adaptation to new set-ups); ours.
+hands its promise is void until it has been made anew; this is how. Source: ours.
 """
 
 import argparse

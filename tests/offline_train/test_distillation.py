@@ -8,11 +8,11 @@ from apex_edge.triggers.features import FEATURE_NAMES
 from offline_train.graph_models.batches import star_graphs
 from offline_train.scenes import star
 from offline_train.trigger.distill import (
-    linear_student,
     probability,
     pseudo_labelled,
     soft_target,
 )
+from offline_train.trigger.fit import fit_rows
 
 NAMES = ("first", "second", "third")
 
@@ -40,14 +40,14 @@ def test_targets_that_make_no_sense_are_refused(teacher, truth, mix):
 
 def test_the_student_takes_over_a_linear_teacher_with_its_doubt(rows):
     logit = rows @ np.array([1.0, -2.0, 0.0]) + 0.5
-    student = linear_student(rows, NAMES, probability(logit))
+    student = fit_rows(rows, probability(logit), NAMES)
     assert np.max(np.abs(probability(student.logit(rows)) - probability(logit))) < 0.02
 
 
 def test_hard_targets_give_plain_logistic_regression(rows):
     linear_model = pytest.importorskip("sklearn.linear_model")
     label = rows[:, 0] + np.random.default_rng(1).normal(size=len(rows)) > 0.0
-    student = linear_student(rows, NAMES, label)
+    student = fit_rows(rows, label, NAMES)
     plain = linear_model.LogisticRegression(max_iter=5000, tol=1e-8)
     plain.fit(student.standardise(rows), label)
     assert student.weight == pytest.approx(plain.coef_[0], abs=1e-9)
@@ -58,8 +58,7 @@ def test_mixing_the_truth_in_mends_a_teacher_that_is_wrong(rows):
     truth = random.random(len(rows)) < probability(2.0 * rows[:, 0])
     wrong = probability(-2.0 * rows[:, 0])
     weights = [
-        linear_student(rows, NAMES, soft_target(wrong, truth, mix)).weight[0]
-        for mix in (0.0, 0.5, 1.0)
+        fit_rows(rows, soft_target(wrong, truth, mix), NAMES).weight[0] for mix in (0.0, 0.5, 1.0)
     ]
     assert weights[0] < -1.0 < weights[1] < 0.5
     assert weights[2] > 1.0
@@ -68,20 +67,20 @@ def test_mixing_the_truth_in_mends_a_teacher_that_is_wrong(rows):
 def test_features_in_sd_are_clipped_before_they_are_learnt():
     random = np.random.default_rng(3)
     z = 1e4 * random.normal(size=(500, 1))
-    student = linear_student(z, ("z",), z[:, 0] > 0.0)
+    student = fit_rows(z, z[:, 0] > 0.0, ("z",))
     assert (student.clip_lo, student.clip_hi) == (-4.0, 4.0)
     assert ((student.logit(z) > 0.0) == (z[:, 0] > 0.0)).mean() > 0.99
 
 
 def test_a_constant_feature_does_no_harm(rows):
     features = np.c_[rows[:, 0], np.full(len(rows), 7.0)]
-    student = linear_student(features, ("first", "constant"), rows[:, 0] > 0.0)
+    student = fit_rows(features, rows[:, 0] > 0.0, ("first", "constant"))
     assert np.isfinite(student.logit(features)).all()
 
 
 def test_targets_all_alike_are_refused(rows):
     with pytest.raises(ApexError, match="all alike"):
-        linear_student(rows, NAMES, np.zeros(len(rows)))
+        fit_rows(rows, np.zeros(len(rows)), NAMES)
 
 
 def test_a_linear_model_labels_graphs_for_a_graph_model():
@@ -91,7 +90,7 @@ def test_a_linear_model_labels_graphs_for_a_graph_model():
 
     stars = star.hard_stars("train", 2, 400)
     features = star.pair_features(stars)
-    teacher = linear_student(features, FEATURE_NAMES, stars.truth.ravel())
+    teacher = fit_rows(features, stars.truth.ravel(), FEATURE_NAMES)
     said = probability(teacher.logit(features))
     graphs = star_graphs(stars, np.zeros(stars.truth.shape), features, FEATURE_NAMES)
     taught = pseudo_labelled(graphs, said)

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from apex_edge import cli
+from apex_edge.errors import WeightsError
 from apex_edge.triggers import model_file, weights
 from apex_edge.triggers.base import TriggerConfig
+from apex_edge.triggers.feature_sets import FEATURE_SETS
 from apex_edge.triggers.graph_net import layer_shapes
 from apex_edge.triggers.models import Columns
 from offline_train.benchmarks.trigger import damages, files
@@ -128,3 +130,20 @@ def test_the_bench_counts_every_outcome_apart(monkeypatch, tmp_path):
     counts = (found.n_files, found.n_refused, found.n_harmless, found.n_accepted, found.n_other)
     assert counts == (4, 1, 1, 1, 1)
     assert [line.is_ok for line in found.lines("odd")] == [False] * 3
+
+
+def test_golden_vectors_of_a_set_with_windows_replay_what_each_window_saw():
+    wide = FEATURE_SETS["wide"]
+    model = dataclasses.replace(
+        weights.load_linear(weights.SHIPPED),
+        feature_set=wide,
+        columns=Columns(*(np.full(len(wide.names), v) for v in (-60.0, 60.0, 0.0, 1.0))),
+        weight=np.ones(len(wide.names)),
+    )
+    case = dict(golden._raw((1, 2), golden._WINDOW), horizon_s=5.0)
+    with pytest.raises(WeightsError, match="windows"):
+        weights.replay(model, case)
+    case["windows"] = [golden._raw((1, 2), (w,) * 6, 1.0 / w) for w in wide.windows]
+    found = weights.replay(model, case)
+    assert found["features"].shape == (2, len(wide.names))
+    assert np.isfinite(found["logit"]).all()

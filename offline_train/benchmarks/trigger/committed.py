@@ -91,7 +91,7 @@ def draw(purpose: str, seed: int, n_scenes: int, is_gated: bool) -> Observed:
 def _linear(train: Observed, seen: Observed, columns: List[int]) -> Array:
     """Return the logit (r,) of a fit on these columns of the wide set."""
     names = [WIDE_NAMES[column] for column in columns]
-    model = fit_rows(train.wide[:, columns], train.label, names, "newton-cholesky")
+    model = fit_rows(train.wide[:, columns], train.label, names, solver="newton-cholesky")
     return model.logit(seen.wide[:, columns])
 
 

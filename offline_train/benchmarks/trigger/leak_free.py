@@ -20,7 +20,7 @@ from offline_train.graph_models.batches import Graphs, star_graphs
 from offline_train.graph_models.need import graph_module
 from offline_train.graph_models.specs import full_spec, paper_spec
 from offline_train.scenes import star
-from offline_train.trigger.distill import linear_student
+from offline_train.trigger.fit import fit_rows
 from offline_train.trigger.metrics import frame_figures
 
 SUITE = "leak_free"
@@ -59,10 +59,10 @@ def rules(test: star.StarSet) -> Dict[str, Array]:
 def linear_scores(train: star.StarSet, test: star.StarSet) -> Dict[str, Array]:
     """Return the logits (R,) of logistic regression on pair features and on the paper's three."""
     label = train.truth.ravel()
-    pair = linear_student(star.pair_features(train), FEATURE_NAMES, label)
+    pair = fit_rows(star.pair_features(train), label, FEATURE_NAMES)
     plain = [FEATURE_NAMES.index(name) for name in _WITHOUT_SD]
-    bare = linear_student(star.pair_features(train)[:, plain], _WITHOUT_SD, label)
-    paper = linear_student(star.paper_edges(train).reshape(-1, 3), star.EDGE_NAMES, label)
+    bare = fit_rows(star.pair_features(train)[:, plain], label, _WITHOUT_SD)
+    paper = fit_rows(star.paper_edges(train).reshape(-1, 3), label, star.EDGE_NAMES)
     return {
         "linear": pair.logit(star.pair_features(test)),
         f"linear on {len(plain)} of them, none in sd": bare.logit(

@@ -17,7 +17,7 @@ from offline_train.benchmarks.lines import Line, at_least, at_most, note
 from offline_train.graph_models import files, paper
 from offline_train.graph_models.paper import fires_as_released, rates
 from offline_train.scenes import star
-from offline_train.trigger.distill import linear_student
+from offline_train.trigger.fit import fit_rows
 
 SUITE = "reproduction"
 N_TEST = 2000
@@ -94,7 +94,7 @@ def label_lines(test: star.StarSet) -> List[Line]:
 
 def linear_lines(train: star.StarSet, test: star.StarSet) -> List[Line]:
     """Return the scores of logistic regression on the device's pair features, planted targets."""
-    model = linear_student(star.pair_features(train), FEATURE_NAMES, train.designed.ravel())
+    model = fit_rows(star.pair_features(train), train.designed.ravel(), FEATURE_NAMES)
     found = rates(model.logit(star.pair_features(test)) > 0.0, test.designed.ravel())
     return [
         at_least(SUITE, f"linear, planted targets: {name}", _number(found[name]), goal, "{:.4f}")
