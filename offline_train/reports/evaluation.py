@@ -9,14 +9,16 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tup
 import numpy as np
 
 from apex_edge.errors import InputError
+from apex_edge.triggers import model_file
 from apex_edge.triggers.base import TriggerConfig
 from apex_edge.types import Array
 from offline_train.reports import curves, tables
 from offline_train.reports.card import Tested, n_parameters, section
 from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.certify import gate_of
-from offline_train.trigger.evaluate import Rated, Testing, beside, evaluate
+from offline_train.trigger.evaluate import Rated, Testing, beside, evaluate, summary
 from offline_train.trigger.evaluate import curves as points_of
+from offline_train.trigger.golden import with_golden
 from offline_train.trigger.observe import Observed
 from offline_train.trigger.scoring import RULE_SURE
 
@@ -78,6 +80,18 @@ def examine(data: Data, models: Mapping[str, Model], inputs: Callable[[Observed]
     if data.origin:
         found["origin"] = dict(data.origin)
     return Tested(data.name, found, points_of(data.seen, rated))
+
+
+def finished(fields: Mapping[str, Any], tests: Sequence[Tested]) -> Dict[str, Any]:
+    """Return the document with its metrics on the test sets, new golden vectors, and signed.
+
+    Raises
+    ------
+    WeightsError : the fields make no model.
+    """
+    metrics = {test.name: summary(test.evaluation) for test in tests}
+    made = with_golden({**fields, "metrics": metrics}, float(fields["horizon_s"]))
+    return {**made, "sha256": model_file.digest(made)}
 
 
 def terms(models: Mapping[str, Model]) -> Tuple[TriggerConfig, float]:

@@ -51,14 +51,7 @@ def sets(folders: Sequence[Path]) -> List[Data]:
             )
         n_before = sum(one.origin["scenario"] == told.scenario for one in found)
         name = f"{told.scenario}-{n_before + 1}" if n_before else told.scenario
-        origin = {
-            "scenario": told.scenario,
-            "version": told.version,
-            "purpose": told.purpose,
-            "seed": told.seed,
-            "n_scenes": told.n_scenes,
-        }
-        found.append(Data(name, seen, tuple(scenario(told.scenario).KINDS), origin))
+        found.append(Data(name, seen, tuple(scenario(told.scenario).KINDS), data.origin(told)))
     return found
 
 

@@ -18,7 +18,7 @@ from apex_edge.triggers.features import FEATURE_SET, FEATURE_VERSION
 from apex_edge.triggers.wide import WIDE_SET, WIDE_VERSION
 from apex_edge.types import Array
 from offline_train import jobs, shards
-from offline_train.job_key import Task, job_key
+from offline_train.job_key import Task, generator, job_key
 from offline_train.scenes import star
 from offline_train.scenes.truth import LOOK_AHEAD_S, scenario
 from offline_train.trigger import seeds
@@ -156,6 +156,25 @@ def write(
     text = json.dumps(_plain(description), indent=1, sort_keys=True) + "\n"
     shards.write_whole(folder / DESCRIPTION, text.encode())
     return jobs.run(task, items, folder, root, n_jobs, scheduler, is_quiet)
+
+
+def draw(description: Description) -> Observed:
+    """Return the rows that ``write`` would put into a folder of a scenario, in this process."""
+    _, items, root = _job(description)
+    parts = (draw_watched(part, generator(root, index)) for index, part in enumerate(items))
+    return join([Observed.from_arrays(arrays) for arrays in parts])
+
+
+def origin(description: Description) -> Dict[str, Any]:
+    """Return what a model document says of the scenes it was certified or tested on."""
+    return {
+        "scenario": description.scenario,
+        "version": description.version,
+        "purpose": description.purpose,
+        "seed": description.seed,
+        "n_scenes": description.n_scenes,
+        "only_contacts": description.only_contacts,
+    }
 
 
 def read(folder: Union[str, Path], purpose: Optional[str] = None) -> Tuple[Observed, Description]:

@@ -4,32 +4,28 @@ The same seed and the same library versions give the same bytes; a time stamp wo
 the file has none (the commit that brings it in has one).
 """
 
-import platform
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Dict, Mapping, Optional
 
-import numpy as np
-
 from apex_edge.triggers import model_file
 from apex_edge.triggers.base import TriggerConfig
-from apex_edge.triggers.feature_sets import FEATURE_SETS, FeatureSet
-from apex_edge.triggers.features import FEATURE_SET
+from apex_edge.triggers.feature_sets import FeatureSet
 from apex_edge.triggers.graph_net import GraphSpec
 from apex_edge.triggers.models import Columns
 from apex_edge.triggers.weights import check
 from apex_edge.types import Array
-from offline_train.scenes import tabletop_pairs
 from offline_train.trigger.calibrate import VISIBLE_S, Promise, Threshold
-from offline_train.trigger.fit import LinearFit, sklearn_module
+from offline_train.trigger.fit import LinearFit
 from offline_train.trigger.golden import with_golden
 from offline_train.trigger.observe import Watching
 
-WATCHING = Watching()
 GATE_KEYS = ("min_speed_m_s", "min_speed_sd", "persist_hits", "persist_frames")
 # Beyond these the model extrapolates. Small distance and small sd are no extrapolation: touching
-# is certain, and z and reach are clipped.
+# is certain, and z and reach are clipped. The value says whether the low end counts as well.
 _DOMAIN = {"distance": False, "closing": True, "speed": False, "sigma": False}
+# Of a set with windows, the middle one speaks for all.
+_DOMAIN_WINDOW = 1
 
 
 @dataclass(frozen=True)
@@ -47,11 +43,11 @@ class Trained:
     high: Array
 
 
-def linear(fit: LinearFit) -> Trained:
-    """Return what is written of a linear model."""
+def linear(fit: LinearFit, feature_set: FeatureSet) -> Trained:
+    """Return what is written of a linear model on a set of features."""
     return Trained(
         keys={"kind": "linear", "weights": fit.weight.tolist(), "bias": fit.bias},
-        feature_set=FEATURE_SETS[FEATURE_SET],
+        feature_set=feature_set,
         columns=Columns(fit.clip_lo, fit.clip_hi, fit.mean, fit.scale),
         low=fit.low,
         high=fit.high,
@@ -80,8 +76,8 @@ def document(
     """Build all fields of a model document, signed.
 
     ``threshold`` None = not certified yet, and no device will use it. ``notes`` holds ``radius_m``
-    (smallest, largest), ``seed``, ``metrics``, and may hold ``platt`` {a, b}; ``watching``, how
-    the training scenes were watched, and ``provenance`` in place of the usual ones.
+    (smallest, largest), ``watching`` (how the training scenes were watched; None = as usual),
+    ``provenance``, ``metrics``, and may hold ``platt`` {a, b}.
 
     Raises
     ------
@@ -90,12 +86,14 @@ def document(
     low, high = trained.low.tolist(), trained.high.tolist()
     known = trained.feature_set
     ranges = {name: [low[i], high[i]] for i, name in enumerate(known.names)}
+    suffix = f"_{known.windows[_DOMAIN_WINDOW]}" if known.windows else ""
     domain = {
-        name: [ranges[name][0] if both else 0.0, ranges[name][1]] for name, both in _DOMAIN.items()
+        name + suffix: [ranges[name + suffix][0] if both else 0.0, ranges[name + suffix][1]]
+        for name, both in _DOMAIN.items()
     }
     domain["radius_m"] = notes["radius_m"]
     columns = _plain(trained.columns)
-    watching = notes.get("watching", WATCHING)
+    watching = notes.get("watching") or Watching()
     fields: Dict[str, Any] = {
         "format": model_file.FORMAT,
         "format_version": model_file.FORMAT_VERSION,
@@ -115,7 +113,7 @@ def document(
         "training_range": ranges,
         "domain": domain,
         "noise_model": {"kind": "white, per axis", "sd_m": list(watching.noise_m)},
-        "provenance": notes.get("provenance") or _provenance(notes["seed"]),
+        "provenance": notes["provenance"],
         "metrics": notes["metrics"],
     }
     if "platt" in notes:
@@ -153,18 +151,4 @@ def certificate(threshold: Threshold, promise: Promise) -> Dict[str, Any]:
         "n_contacts": threshold.n_contacts,
         "k": threshold.k,
         "unit": "event",
-    }
-
-
-def _provenance(seed: int) -> Dict[str, Any]:
-    return {
-        "generator": tabletop_pairs.NAME,
-        "generator_version": tabletop_pairs.VERSION,
-        "seed": seed,
-        "label": "true contact within the horizon",
-        "libraries": {
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "scikit-learn": sklearn_module("sklearn").__version__,
-        },
     }

@@ -4,6 +4,7 @@ Rows of one approach are alike, so only some frames of each scene are learnt fro
 gets whole frames, every pair that was seen at once. Source: ours.
 """
 
+import platform
 from dataclasses import asdict
 from typing import Any, Callable, Dict, Optional, Tuple
 
@@ -14,21 +15,25 @@ from apex_edge.errors import ApexError
 from apex_edge.triggers.base import TriggerConfig
 from apex_edge.triggers.feature_sets import FEATURE_SETS
 from apex_edge.triggers.features import FEATURE_NAMES, FEATURE_SET
-from apex_edge.triggers.models import LinearWeights, Model
+from apex_edge.triggers.models import Model
 from apex_edge.triggers.stars import NODE_NAMES, stars
+from apex_edge.triggers.wide import WIDE_SET
 from apex_edge.types import Array
+from offline_train.graph_models import files
 from offline_train.graph_models.batches import Graphs
 from offline_train.graph_models.need import graph_module
 from offline_train.scenes.star import RISK_TAU
 from offline_train.trigger import baselines, export
 from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.data import Description
-from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, thin
+from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, sklearn_module, thin
 from offline_train.trigger.observe import Observed
 from offline_train.trigger.scaling import fitted
+from offline_train.trigger.scoring import features_of, logits
 
 LABELS = ("truth", "soft", "paper-risk", "designed")
-LINEAR, CEILING = "linear12", "gbm-ceiling"
+LINEAR, WIDE, CEILING = "linear12", "linear-wide", "gbm-ceiling"
+_FEATURES = {LINEAR: FEATURE_SET, WIDE: WIDE_SET}
 N_EPOCHS = 15
 # Stars of a table are small: 256 make a step about as dear as 32 of the paper's graphs.
 BATCH_SIZE = 256
@@ -80,9 +85,12 @@ def fit(
     PluginError : no model of that name.
     ApexError : nothing to tell apart, or a model that no device could run.
     """
-    if name == LINEAR:
+    if name in _FEATURES:
+        known = FEATURE_SETS[_FEATURES[name]]
         rows = thin(seen.pair, ROWS_PER_PAIR, seed)
-        return export.linear(fit_rows(seen.features[rows], target[rows], FEATURE_NAMES))
+        solver = "newton-cholesky" if name == WIDE else "lbfgs"
+        found = fit_rows(features_of(known, seen)[rows], target[rows], known.names, solver=solver)
+        return export.linear(found, known)
     if name == CEILING:
         raise ApexError(
             f"{name}: no device runs boosted trees; apex train evaluate sets them beside a model"
@@ -110,14 +118,37 @@ def fit(
     )
 
 
+def check_packages(name: str) -> None:
+    """Refuse a model whose packages are not here, before the work.
+
+    Raises
+    ------
+    MissingExtraError : says what to install.
+    PluginError : no model of that name.
+    """
+    sklearn_module("sklearn")
+    if name not in _FEATURES:
+        plugins.load("graph_models", name)
+        graph_module("offline_train.graph_models.training")
+
+
+def libraries(trained: export.Trained) -> Dict[str, str]:
+    """Return the versions that the bytes of a trained model depend on."""
+    if trained.keys["kind"] == "graph":
+        return files.libraries()
+    found = {"python": platform.python_version(), "numpy": np.__version__}
+    found["scikit-learn"] = sklearn_module("sklearn").__version__
+    return found
+
+
 def said_by(teacher: Model, seen: Observed) -> Array:
-    """Return the probability (r,) that a device's model gives each row, frame by frame."""
-    if isinstance(teacher, LinearWeights):
-        return teacher.probability(teacher.logit(seen.features))
-    movers = seen.bodies[:, 0]
-    # a mover of another frame is another mover
-    key = seen.group * (1 + int(movers.max(initial=0))) + movers
-    return teacher.probability(teacher.logit(seen.features, seen.geometry, key))
+    """Return the probability (r,) that a device's model gives each row, frame by frame.
+
+    Raises
+    ------
+    WeightsError : rows are judged for another horizon, or were watched without wide features.
+    """
+    return teacher.probability(logits(teacher, seen))
 
 
 def whole_frames(seen: Observed, seed: int) -> Array:

@@ -1,17 +1,15 @@
-"""Train one linear trigger from a seed: the steps in order, with their seeds and sizes."""
+"""Train one trigger from a seed: draw, fit, certify, test. The single steps, one after another."""
 
 from dataclasses import dataclass
 from typing import Any, Callable, Dict
 
-import numpy as np
-
-from apex_edge.triggers.base import TriggerConfig
+from offline_train.reports import evaluation, sources
 from offline_train.scenes import tabletop_pairs
-from offline_train.trigger import export, seeds
-from offline_train.trigger.calibrate import Promise, calibrate
-from offline_train.trigger.evaluate import Rated, Testing, beside, evaluate, summary
-from offline_train.trigger.fit import LinearFit, fit, sklearn_module
-from offline_train.trigger.observe import Observed, Watching, observe
+from offline_train.trigger import data, learn
+from offline_train.trigger.calibrate import Promise
+from offline_train.trigger.certify import certify
+from offline_train.trigger.observe import Observed, Watching
+from offline_train.trigger.scoring import device_scorer
 
 
 @dataclass(frozen=True)
@@ -24,42 +22,47 @@ class Sizes:
 
 
 def train(
-    seed: int, sizes: Sizes, promise: Promise, say: Callable[[str], None] = lambda text: None
+    name: str,
+    seed: int,
+    sizes: Sizes,
+    promise: Promise,
+    say: Callable[[str], None] = lambda text: None,
 ) -> Dict[str, Any]:
-    """Return the fields of a weights file, trained, certified and tested on four seeds.
+    """Return the fields of a model document, trained, certified and tested on scenes of its own.
+
+    Parameters
+    ----------
+    name : see ``learn.fit``.
 
     Raises
     ------
-    MissingExtraError : scikit-learn is not installed.
+    MissingExtraError : scikit-learn, or PyTorch for a graph model, is not installed.
+    PluginError : no model of that name.
     TooFewEventsError : the promise cannot be certified with so few scenes.
     """
-    sklearn_module("sklearn")
-    config = TriggerConfig()
+    learn.check_packages(name)
+    watching = Watching(is_wide=name == learn.WIDE)
 
-    def watch(purpose: str, stream: int, n: int, only_contacts: bool = False) -> Observed:
-        rng = seeds.rng(purpose, seed, stream)
-        return observe(rng, tabletop_pairs.NAME, n, Watching(), config, only_contacts)
+    def described(purpose: str, n: int, only_contacts: bool = False) -> data.Description:
+        return data.describe(tabletop_pairs.NAME, purpose, seed, n, watching, only_contacts)
 
     say(f"training on {sizes.train} scenes")
-    learnt = watch("train", 0, sizes.train)
-    model = fit(learnt, seed)
+    about = described("train", sizes.train)
+    fields = _fitted(data.draw(about), about, name, seed)
     say(f"certifying on the contacts of {sizes.calibration} other scenes")
-    held = watch("calibration", 0, sizes.calibration, only_contacts=True)
-    threshold = calibrate(held, model.logit(held.features), config, promise)
+    about = described("calibration", sizes.calibration, only_contacts=True)
+    fields = certify(fields, data.draw(about), promise, {"kind": "generated", **data.origin(about)})
     say(f"testing on {sizes.test} scenes never seen")
-    tested = _test(watch("test", 0, sizes.test), model, threshold.logit, promise.lead_s)
-    radius = learnt.geometry.radius_m
-    notes = {
-        "radius_m": [float(radius.min()), float(radius.max())],
-        "seed": seed,
-        "metrics": {tabletop_pairs.NAME: tested},
-    }
-    return export.document(export.linear(model), threshold, promise, config, notes)
+    about = described("test", sizes.test)
+    held = evaluation.Data(
+        tabletop_pairs.NAME, data.draw(about), tabletop_pairs.KINDS, data.origin(about)
+    )
+    model = evaluation.Model(fields, device_scorer(fields))
+    tested = evaluation.examine(held, {name: model}, sources.ceiling_inputs)
+    return evaluation.finished(fields, [tested])
 
 
-def _test(seen: Observed, model: LinearFit, threshold: float, lead_s: float) -> Dict[str, Any]:
-    logit = model.logit(seen.features)
-    rated = {"linear": Rated(logit, threshold, 0.5 * (1.0 + np.tanh(0.5 * logit)))}
-    rated.update(beside(seen, seen.features, seed=0))
-    testing = Testing(TriggerConfig(), lead_s, tabletop_pairs.KINDS, "linear")
-    return summary(evaluate(seen, rated, testing))
+def _fitted(seen: Observed, description: data.Description, name: str, seed: int) -> Dict[str, Any]:
+    trained = learn.fit(seen, learn.targets(seen, "truth"), name, seed)
+    made = {"label": "truth", "model": name, "seed": seed, "libraries": learn.libraries(trained)}
+    return learn.document(trained, seen, description, made)

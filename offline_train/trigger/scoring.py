@@ -6,6 +6,7 @@ import numpy as np
 
 from apex_edge.errors import WeightsError
 from apex_edge.triggers import weights
+from apex_edge.triggers.feature_sets import FeatureSet
 from apex_edge.triggers.models import GraphWeights, Model
 from apex_edge.triggers.stars import nodes_as, stars
 from apex_edge.triggers.wide import WIDE_SET
@@ -29,7 +30,7 @@ def scorer(fields: Mapping[str, Any]) -> Scorer:
     model = weights.check(fields, "model")
 
     def score(seen: Observed) -> Array:
-        return _logits(model, seen)
+        return logits(model, seen)
 
     return score
 
@@ -48,13 +49,19 @@ def device_scorer(fields: Mapping[str, Any]) -> Scorer:
         is_known = model.is_in_domain(features, seen.geometry.radius_m, samples)
         is_known = is_known & np.all(np.isfinite(features), axis=1)
         by_rule = np.where(seen.rule_hit, RULE_SURE, -RULE_SURE)
-        chosen: Array = np.where(is_known, _logits(model, seen), by_rule)
+        chosen: Array = np.where(is_known, logits(model, seen), by_rule)
         return chosen
 
     return score
 
 
-def _logits(model: Model, seen: Observed) -> Array:
+def logits(model: Model, seen: Observed) -> Array:
+    """Return the model's logit (r,) of each row, frame by frame.
+
+    Raises
+    ------
+    WeightsError : rows are judged for another horizon, or were watched without wide features.
+    """
     features = _features(model, seen)
     if not isinstance(model, GraphWeights):
         return model.logit(features)
@@ -80,8 +87,21 @@ def _features(model: Model, seen: Observed) -> Array:
         raise WeightsError(
             f"the model looks {model.horizon_s:g} s ahead, the data {horizons.tolist()} s"
         )
-    if model.feature_set.name != WIDE_SET:
+    return features_of(model.feature_set, seen)
+
+
+def features_of(known: FeatureSet, seen: Observed) -> Array:
+    """Return the columns (r, k) of a feature set.
+
+    Raises
+    ------
+    WeightsError : the rows have no wide features.
+    """
+    if known.name != WIDE_SET:
         return seen.features
     if not seen.wide.shape[1]:
-        raise WeightsError("the model needs wide features, but the scenes were watched without")
+        raise WeightsError(
+            "the model needs wide features, but the scenes were watched without; "
+            "apex train generate --wide makes them"
+        )
     return seen.wide

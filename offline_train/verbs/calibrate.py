@@ -36,14 +36,7 @@ def run(args: argparse.Namespace) -> int:
     check_out(args.out)
     fields = model_file.read(args.model)
     seen, about = data.read(args.data, "calibration")
-    origin = {
-        "kind": "generated",
-        "scenario": about.scenario,
-        "scenario_version": about.version,
-        "seed": about.seed,
-        "n_scenes": about.n_scenes,
-    }
-    made = certify(fields, seen, promise, origin)
+    made = certify(fields, seen, promise, {"kind": "generated", **data.origin(about)})
     write(made, args.out)
     print(report(made, args))
     return 0

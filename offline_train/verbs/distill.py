@@ -22,7 +22,7 @@ _TRUTHS = ("truth", "soft")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    known = ", ".join([learn.LINEAR, *plugins.names("graph_models")])
+    known = ", ".join([learn.LINEAR, learn.WIDE, *plugins.names("graph_models")])
     parser.add_argument("--teacher", type=Path, required=True, metavar="FILE", help="model file")
     parser.add_argument("--student", default=learn.LINEAR, metavar="NAME", help=known)
     parser.add_argument("--data", type=Path, required=True, help="see apex train generate")

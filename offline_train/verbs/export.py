@@ -5,15 +5,11 @@ Nothing is written that the device would refuse.
 
 import argparse
 from pathlib import Path
-from typing import Any, Dict, List
 
 from apex_edge.errors import InputError
 from apex_edge.triggers import model_file, weights
 from offline_train.reports import card, evaluation, sources
-from offline_train.reports.card import Tested
 from offline_train.trigger import export
-from offline_train.trigger.evaluate import summary
-from offline_train.trigger.golden import with_golden
 
 HELP = "test a certified model, sign it and write the device's file and its card"
 EXAMPLE = "apex train export --model certified.json --data test/ --out trigger.npz --card card/"
@@ -51,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     named = {args.out.stem: model}
     sets = sources.sets(args.data)
     tests = [evaluation.examine(one, named, sources.ceiling_inputs) for one in sets]
-    fields = finished(dict(model.fields), tests)
+    fields = evaluation.finished(model.fields, tests)
     export.write(fields, args.out)
     weights.load(args.out)
     print(f"wrote {args.out}: sha256 {fields['sha256']}")
@@ -60,15 +56,3 @@ def run(args: argparse.Namespace) -> int:
         card.write(files, args.card)
         print(f"wrote {args.card / args.out.stem}.md and {len(files) - 1} plots")
     return 0
-
-
-def finished(fields: Dict[str, Any], tests: List[Tested]) -> Dict[str, Any]:
-    """Return the document with its metrics on the test sets, new golden vectors, and signed.
-
-    Raises
-    ------
-    WeightsError : the fields make no model.
-    """
-    metrics = {test.name: summary(test.evaluation) for test in tests}
-    fields = with_golden({**fields, "metrics": metrics}, float(fields["horizon_s"]))
-    return {**fields, "sha256": model_file.digest(fields)}

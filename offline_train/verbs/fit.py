@@ -10,12 +10,9 @@ The shipped reproduction files were made by these commands, with NAME each of ``
 
 import argparse
 import json
-import platform
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, Dict, Optional, Tuple
-
-import numpy as np
 
 from apex_edge import plugins
 from apex_edge.errors import ApexError
@@ -25,8 +22,7 @@ from apex_edge.verbs.progress import Progress
 from offline_train.graph_models import files, paper
 from offline_train.trigger import data, learn
 from offline_train.trigger.export import Trained, write
-from offline_train.trigger.fit import sklearn_module
-from offline_train.trigger.learn import LABELS, LINEAR
+from offline_train.trigger.learn import LABELS, LINEAR, WIDE
 from offline_train.trigger.metrics import frame_figures
 from offline_train.trigger.observe import Observed
 
@@ -37,7 +33,7 @@ _QUIRKS = {f.name[len("is_") :].replace("_", "-"): f.name for f in fields(paper.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    known = ", ".join([LINEAR, *plugins.names("graph_models")])
+    known = ", ".join([LINEAR, WIDE, *plugins.names("graph_models")])
     parser.add_argument("--model", required=True, metavar="NAME", help=known)
     parser.add_argument("--seed", type=int, required=True, help="same seed, same bytes")
     parser.add_argument("--out", type=Path, required=True, help="model file to write (.npz, .json)")
@@ -108,7 +104,7 @@ def finish(
     made: Dict[str, Any],
 ) -> int:
     """Write the model file, not yet certified, and print how it does on its own scenes."""
-    fields_now = learn.document(trained, *source, dict(made, libraries=libraries(trained)))
+    fields_now = learn.document(trained, *source, dict(made, libraries=learn.libraries(trained)))
     write(fields_now, args.out)
     seen = source[0]
     said = learn.said_by(weights.check(fields_now, str(args.out)), seen)
@@ -120,15 +116,6 @@ def finish(
     print("\n".join(f"  {name:22s}{_cell(value)}" for name, value in found.items()))
     print(f"wrote {args.out}; not certified: apex train calibrate makes it usable")
     return 0
-
-
-def libraries(trained: Trained) -> Dict[str, str]:
-    """Return the versions that the bytes of a trained model depend on."""
-    if trained.keys["kind"] == "graph":
-        return files.libraries()
-    found = {"python": platform.python_version(), "numpy": np.__version__}
-    found["scikit-learn"] = sklearn_module("sklearn").__version__
-    return found
 
 
 def _run_paper(args: argparse.Namespace) -> int:

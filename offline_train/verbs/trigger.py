@@ -1,8 +1,10 @@
-"""``apex train trigger``: all steps of the shipped linear trigger in one command.
+"""``apex train trigger``: all steps of a shipped trigger in one command.
 
-The shipped weights were made by exactly this command::
+The shipped models were made by exactly these commands::
 
     apex train trigger --seed 1 --out apex_edge/data/trigger-linear.json
+    apex train trigger --model linear-wide --seed 1 --out apex_edge/data/trigger-wide.json
+    apex train trigger --model GRAPH --seed 1 --out apex_edge/data/trigger-graph.npz
 """
 
 import argparse
@@ -11,19 +13,23 @@ import sys
 from pathlib import Path
 from typing import Any, Dict, Tuple
 
+from apex_edge import plugins
 from apex_edge.errors import ApexError
 from offline_train.reports.tables import number
 from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.export import write
+from offline_train.trigger.learn import LINEAR, WIDE
 from offline_train.trigger.pipeline import Sizes, train
 
-HELP = "the linear hazard trigger: generate, fit, certify, test and write it"
+HELP = "a hazard trigger in one go: generate, fit, certify, test and write it"
 EXAMPLE = "apex train trigger --seed 1 --out trigger-linear.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--out", type=Path, required=True, help="weights file to write")
+    known = ", ".join([LINEAR, WIDE, *plugins.names("graph_models")])
+    parser.add_argument("--model", default=LINEAR, metavar="NAME", help=f"{known} ({LINEAR})")
     parser.add_argument("--seed", type=int, required=True, help="same seed, same bytes")
     parser.add_argument("--alpha", type=float, default=Promise.alpha, help="miss rate to certify")
     parser.add_argument(
@@ -44,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     sizes = Sizes(
         *(max(1, int(args.scale * n)) for n in (usual.train, usual.calibration, usual.test))
     )
-    fields = train(args.seed, sizes, Promise(alpha=args.alpha), _progress)
+    fields = train(args.model, args.seed, sizes, Promise(alpha=args.alpha), _progress)
     write(fields, args.out)
     print(json.dumps(fields["metrics"], sort_keys=True) if args.json else _report(fields, args.out))
     return 0

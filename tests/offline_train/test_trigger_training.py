@@ -212,7 +212,7 @@ def test_without_scikit_learn_it_says_what_to_install(monkeypatch, tmp_path):
 
     monkeypatch.setattr(fit.importlib, "import_module", missing)
     with pytest.raises(fit.MissingExtraError, match=r"pip install 'apex-edge\[train\]'"):
-        pipeline.train(1, pipeline.Sizes(), calibrate.Promise())
+        pipeline.train("linear12", 1, pipeline.Sizes(), calibrate.Promise())
 
 
 @pytest.mark.parametrize(
