@@ -6,7 +6,6 @@ import numpy as np
 
 from apex_edge.errors import WeightsError
 from apex_edge.triggers import weights
-from apex_edge.triggers.approach import closest
 from apex_edge.triggers.models import GraphWeights, Model
 from apex_edge.triggers.stars import nodes_as, stars
 from apex_edge.types import Array
@@ -80,6 +79,11 @@ def _features(model: Model, seen: Observed) -> Array:
         raise WeightsError(
             f"the model looks {model.horizon_s:g} s ahead, the data {horizons.tolist()} s"
         )
-    approach = closest(seen.geometry, model.horizon_s)
-    features: Array = model.feature_set.compute(seen.geometry, approach, model.horizon_s)
-    return features
+    if not model.feature_set.windows:
+        return seen.features
+    if not seen.wide.shape[1]:
+        raise WeightsError(
+            f"the model reads the features {model.feature_set.name}, which these rows do not hold; "
+            "watch the scenes through several windows"
+        )
+    return seen.wide
