@@ -16,6 +16,7 @@ from apex_edge.triggers.analytic import k_sigma_rule
 from apex_edge.triggers.approach import Pairs
 from apex_edge.triggers.base import Evidence, TriggerConfig
 from apex_edge.triggers.features import FEATURE_NAMES, edge_features
+from apex_edge.triggers.wide import WIDE_NAMES, wide_features
 from apex_edge.types import Array
 from offline_train.scenes.recordings import (
     Contact,
@@ -227,6 +228,7 @@ def _columns(rows: _Found, rig: Rig) -> Dict[str, Array]:
         rule = k_sigma_rule(evidence, rig.config.trigger.k_sigma)
         columns = {
             "features": edge_features(evidence.pairs, evidence.approach, rig.horizon_s),
+            "wide": wide_features(evidence.windows, rig.horizon_s),
             "rule_probability": rule.probability,
             "rule_hit": rule.is_hit,
         }
@@ -244,5 +246,6 @@ def _nothing() -> Dict[str, Array]:
     empty = {
         "geometry." + spec.name: np.zeros((0, *shapes.get(spec.name, ()))) for spec in fields(Pairs)
     }
-    empty["features"], empty["rule_probability"] = np.zeros((0, len(FEATURE_NAMES))), np.zeros(0)
-    return dict(empty, rule_hit=np.zeros(0, dtype=bool))
+    empty["features"] = np.zeros((0, len(FEATURE_NAMES)))
+    empty["wide"] = np.zeros((0, len(WIDE_NAMES)))
+    return dict(empty, rule_probability=np.zeros(0), rule_hit=np.zeros(0, dtype=bool))

@@ -9,7 +9,6 @@ from apex_edge.triggers import weights
 from apex_edge.triggers.feature_sets import FeatureSet
 from apex_edge.triggers.models import GraphWeights, Model
 from apex_edge.triggers.stars import nodes_as, stars
-from apex_edge.triggers.wide import WIDE_SET
 from apex_edge.types import Array
 from offline_train.trigger.observe import Observed
 
@@ -97,7 +96,7 @@ def features_of(known: FeatureSet, seen: Observed) -> Array:
     ------
     WeightsError : the rows have no wide features.
     """
-    if known.name != WIDE_SET:
+    if not known.windows:
         return seen.features
     if not seen.wide.shape[1]:
         raise WeightsError(

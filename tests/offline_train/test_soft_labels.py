@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from apex_edge.errors import ApexError
 from apex_edge.triggers.approach import Pairs, closest
 from apex_edge.triggers.base import TriggerConfig
 from apex_edge.triggers.features import FEATURE_NAMES
@@ -126,3 +127,21 @@ def test_soft_labels_teach_a_linear_student_that_stands_hard_truth(softened):
     student = fit_rows(few.features, few.soft, FEATURE_NAMES)
     found = metrics.frame_figures(rest.label, student.logit(rest.features))
     assert found["roc_auc"] > 0.8
+
+
+def test_a_fit_on_certain_soft_labels_is_the_fit_on_hard_ones(softened):
+    seen, rows = softened
+    kept = seen.take(rows)
+    certain = np.where(kept.label, 1.0 - 1e-9, 1e-9)
+    hard, same, other = (
+        fit_rows(kept.features, target, FEATURE_NAMES)
+        for target in (kept.label, certain, kept.soft)
+    )
+    assert np.allclose(hard.weight, same.weight, rtol=1e-3, atol=1e-3)
+    assert not np.allclose(hard.weight, other.weight, rtol=1e-2)
+
+
+def test_rows_without_a_soft_label_are_refused(softened):
+    seen, _ = softened
+    with pytest.raises(ApexError, match="no label between 0 and 1"):
+        fit_rows(seen.features, seen.soft, FEATURE_NAMES)
