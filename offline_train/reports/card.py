@@ -141,7 +141,10 @@ def _training(fields: Mapping[str, Any], stem: str) -> str:
     text = "\n".join(rows)
     commands = recipe.commands(fields, stem)
     if commands:
-        text += "\n\nThe commands:\n\n```\n" + "\n".join(commands) + "\n```"
+        text += (
+            "\n\nThe commands, as far as the file records them (scenes to certify on are taken to "
+            "be watched like those to learn from):\n\n```\n" + "\n".join(commands) + "\n```"
+        )
     return text + "\n\nSame seed and same library versions give the same bytes."
 
 
