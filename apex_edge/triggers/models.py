@@ -4,7 +4,7 @@ Source: ours.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, Dict, Tuple, Union
+from typing import Any, Dict, Optional, Tuple, Union
 
 import numpy as np
 
@@ -72,7 +72,8 @@ class TriggerModel:
     ``threshold`` is a logit; NaN when nothing has certified one yet, and then nothing fires.
     ``training_range`` maps every feature to the range seen in training. ``certificate`` and
     ``gate`` say what recall was certified, and under which gate and vote.
-    ``platt`` (a, b): the probability is sigmoid(a * logit + b).
+    ``chances`` (2, n), logits and the probabilities they mean, straight lines in between and level
+    beyond; None = the sigmoid of the logit.
     """
 
     feature_set: FeatureSet
@@ -83,7 +84,7 @@ class TriggerModel:
     training_range: Dict[str, Tuple[float, float]]
     certificate: Dict[str, Any]
     gate: Dict[str, Any]
-    platt: Tuple[float, float]
+    chances: Optional[Array]
 
     @property
     def min_samples(self) -> int:
@@ -96,8 +97,10 @@ class TriggerModel:
 
     def probability(self, logit: Array) -> Array:
         """Return the calibrated probability (m,) of contact."""
-        slope, offset = self.platt
-        chance: Array = 0.5 * (1.0 + np.tanh(0.5 * (slope * logit + offset)))
+        if self.chances is None:
+            chance: Array = 0.5 * (1.0 + np.tanh(0.5 * logit))
+        else:
+            chance = np.interp(logit, self.chances[0], self.chances[1])
         return chance
 
 

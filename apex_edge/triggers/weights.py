@@ -38,7 +38,7 @@ _COMMON = frozenset(
     + ("sha256",)
 )
 _OF_KIND = {"linear": frozenset(("weights", "bias")), "graph": frozenset(("graph",))}
-_OPTIONAL = frozenset(("platt",))
+_OPTIONAL = frozenset(("chances",))
 _SPEC_KEYS = frozenset(GraphSpec.__dataclass_fields__)
 _CERTIFICATE = ("logit", "alpha", "confidence", "lead_s", "n_pos", "k")
 
@@ -155,12 +155,8 @@ def _common(fields: Dict[str, Any], features: FeatureSet) -> Dict[str, Any]:
     scaler, clip = fields["scaler"], fields["clip"]
     certificate = _certificate(fields["threshold"])
     windows = [_whole(value, "windows") for value in fields["windows"]]
-    platt = fields.get("platt", {"a": 1.0, "b": 0.0})
-    _same_keys(set(platt), frozenset("ab"), "platt")
-    slope, offset = _number(platt["a"], "platt.a"), _number(platt["b"], "platt.b")
     horizon_s = _number(fields["horizon_s"], "horizon_s")
     _need(horizon_s > 0.0, f"horizon_s must be positive, found {horizon_s}")
-    _need(slope > 0.0, f"platt.a must be positive, found {slope}")
     for key in ("gate", "noise_model", "provenance", "metrics"):
         _need(isinstance(fields[key], dict), f"{key} must be a table")
     return {
@@ -174,8 +170,20 @@ def _common(fields: Dict[str, Any], features: FeatureSet) -> Dict[str, Any]:
         "training_range": _ranges(fields["training_range"], set(names), "training_range"),
         "certificate": certificate,
         "gate": dict(fields["gate"]),
-        "platt": (slope, offset),
+        "chances": _chances(fields["chances"]) if "chances" in fields else None,
     }
+
+
+def _chances(value: Dict[str, Any]) -> Array:
+    _same_keys(set(value), frozenset(("logit", "probability")), "chances")
+    n = len(value["logit"])
+    rows = np.array([_row(value[key], n, f"chances: {key}") for key in ("logit", "probability")])
+    _need(n >= 2 and bool(np.all(np.diff(rows[0]) > 0.0)), "chances: logits must rise")
+    _need(
+        bool(np.all(np.diff(rows[1]) >= 0.0) and rows[1, 0] >= 0.0 and rows[1, -1] <= 1.0),
+        "chances: probabilities must not fall, and lie between 0 and 1",
+    )
+    return rows
 
 
 def _certificate(value: Any) -> Dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tup
 import numpy as np
 
 from apex_edge.errors import InputError
-from apex_edge.triggers import model_file
+from apex_edge.triggers import model_file, weights
 from apex_edge.triggers.base import TriggerConfig
 from apex_edge.types import Array
 from offline_train.reports import curves, tables
@@ -69,7 +69,8 @@ def examine(data: Data, models: Mapping[str, Model], inputs: Callable[[Observed]
         promise = model.fields["threshold"]
         threshold = None if promise is None else float(promise["logit"])
         is_fallback = np.abs(logit) >= RULE_SURE
-        said = np.where(is_fallback, data.seen.rule_probability, probability(model.fields, logit))
+        chance = weights.check(model.fields, name).probability(logit)
+        said = np.where(is_fallback, data.seen.rule_probability, chance)
         rated[name] = Rated(logit, threshold, said)
         fallback[name] = float(is_fallback.mean())
     rated.update(beside(data.seen, inputs(data.seen), _CEILING_SEED))
@@ -112,13 +113,6 @@ def terms(models: Mapping[str, Model]) -> Tuple[TriggerConfig, float]:
         if one != found[first]:
             raise InputError(f"{name} was certified under {one}, but {first} under {found[first]}")
     return found[first]
-
-
-def probability(document: Mapping[str, Any], logit: Array) -> Array:
-    """Return the calibrated probability (r,) that a model states."""
-    platt = document.get("platt", {"a": 1.0, "b": 0.0})
-    said: Array = 0.5 * (1.0 + np.tanh(0.5 * (platt["a"] * logit + platt["b"])))
-    return said
 
 
 def report(tests: Sequence[Tested], models: Mapping[str, Model]) -> Dict[str, str]:

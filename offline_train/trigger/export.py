@@ -77,7 +77,7 @@ def document(
 
     ``threshold`` None = not certified yet, and no device will use it. ``notes`` holds ``radius_m``
     (smallest, largest), ``watching`` (how the training scenes were watched; None = as usual),
-    ``provenance``, ``metrics``, and may hold ``platt`` {a, b}.
+    ``provenance`` and ``metrics``.
 
     Raises
     ------
@@ -116,8 +116,6 @@ def document(
         "provenance": notes["provenance"],
         "metrics": notes["metrics"],
     }
-    if "platt" in notes:
-        fields["platt"] = notes["platt"]
     fields = with_golden(fields, watching.horizon_s)
     fields["sha256"] = model_file.digest(fields)
     return fields

@@ -10,7 +10,7 @@ from apex_edge.errors import ApexError
 from apex_edge.triggers.features import FEATURE_NAMES
 from apex_edge.types import Array
 from offline_train.trigger.observe import Observed
-from offline_train.trigger.scaling import LIMIT_SD, fitted
+from offline_train.trigger.scaling import LIMIT_SD, fitted, spread
 
 # Frames of one approach are alike; a few of each are enough.
 ROWS_PER_PAIR = 12
@@ -112,6 +112,7 @@ def fit_rows(
     linear = sklearn_module("sklearn.linear_model")
     model = linear.LogisticRegression(C=strength, solver=solver, max_iter=5000, tol=1e-8)
     model.fit(columns(features)[rows], label, sample_weight=weight[counts])
+    low, high = spread(features)
     return LinearFit(
         clip_lo=columns.lo,
         clip_hi=columns.hi,
@@ -119,8 +120,8 @@ def fit_rows(
         scale=columns.scale,
         weight=model.coef_[0],
         bias=float(model.intercept_[0]),
-        low=features.min(axis=0),
-        high=features.max(axis=0),
+        low=low,
+        high=high,
     )
 
 

@@ -6,12 +6,13 @@ gets whole frames, every pair that was seen at once. Source: ours.
 
 import platform
 from dataclasses import asdict
-from typing import Any, Callable, Dict, Optional, Tuple
+from typing import Any, Callable, Dict, List, Optional, Tuple
 
 import numpy as np
 
 from apex_edge import plugins
 from apex_edge.errors import ApexError
+from apex_edge.triggers import model_file, weights
 from apex_edge.triggers.base import TriggerConfig
 from apex_edge.triggers.feature_sets import FEATURE_SETS
 from apex_edge.triggers.features import FEATURE_NAMES, FEATURE_SET
@@ -28,7 +29,7 @@ from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.data import Description
 from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, sklearn_module, thin
 from offline_train.trigger.observe import Observed
-from offline_train.trigger.scaling import fitted
+from offline_train.trigger.scaling import fitted, spread
 from offline_train.trigger.scoring import features_of, logits
 
 LABELS = ("truth", "soft", "paper-risk", "designed")
@@ -109,12 +110,13 @@ def fit(
     columns = found.edge_scaler
     if len(columns.mean) != len(FEATURE_NAMES):
         columns = fitted(features, FEATURE_NAMES)  # it reads no edges, but the file has a scaler
+    low, high = spread(features)
     return export.Trained(
         keys=export.graph_keys(found.spec, found.layers, found.node_scaler),
         feature_set=FEATURE_SETS[FEATURE_SET],
         columns=columns,
-        low=features.min(axis=0),
-        high=features.max(axis=0),
+        low=low,
+        high=high,
     )
 
 
@@ -191,14 +193,21 @@ def watched_graphs(seen: Observed, target: Array, rows: Array) -> Tuple[Graphs, 
 
 
 def document(
-    trained: export.Trained, seen: Observed, description: Description, made: Dict[str, Any]
+    trained: export.Trained,
+    learnt: Tuple[Observed, Array],
+    description: Description,
+    made: Dict[str, Any],
 ) -> Dict[str, Any]:
-    """Return the model document, not yet certified; ``made`` joins its provenance.
+    """Return the model document, not yet certified.
+
+    ``learnt`` holds the training rows and their targets (r,); a few rows of each pair set what
+    the logits mean. ``made`` joins its provenance.
 
     Raises
     ------
     WeightsError : the device would not build this model.
     """
+    seen, target = learnt
     radius = seen.geometry.radius_m
     notes = {
         "radius_m": [float(radius.min()), float(radius.max())],
@@ -211,4 +220,25 @@ def document(
         },
         "metrics": {},
     }
-    return export.document(trained, None, Promise(), TriggerConfig(), notes)
+    fields = export.document(trained, None, Promise(), TriggerConfig(), notes)
+    said = logits(weights.check(fields, "fitted model"), seen)
+    rows = thin(seen.pair, ROWS_PER_PAIR, 0)
+    fields["chances"] = chances(said[rows], target[rows])
+    fields["sha256"] = model_file.digest(fields)
+    return fields
+
+
+def chances(logit: Array, target: Array, n: int = 40) -> Dict[str, List[float]]:
+    """Return what logits mean: ``n`` of them that rise, and the share of contacts around each.
+
+    Rows are put into groups of one size by their logit; neighbours whose shares fall are made one
+    level (isotonic regression). A linear model is a few hundredths off where its features bend.
+    """
+    order = np.argsort(logit, kind="stable")
+    groups = [part for part in np.array_split(order, n) if len(part)]
+    middle = np.array([logit[part].mean() for part in groups])
+    share = np.array([target[part].mean() for part in groups])
+    rising = np.r_[True, np.diff(middle) > 0.0]
+    isotonic = sklearn_module("sklearn.isotonic").IsotonicRegression(y_min=0.0, y_max=1.0)
+    level = isotonic.fit_transform(middle[rising], share[rising])
+    return {"logit": middle[rising].tolist(), "probability": level.tolist()}

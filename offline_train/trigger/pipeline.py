@@ -63,6 +63,7 @@ def train(
 
 
 def _fitted(seen: Observed, description: data.Description, name: str, seed: int) -> Dict[str, Any]:
-    trained = learn.fit(seen, learn.targets(seen, "truth"), name, seed)
+    target = learn.targets(seen, "truth")
+    trained = learn.fit(seen, target, name, seed)
     made = {"label": "truth", "model": name, "seed": seed, "libraries": learn.libraries(trained)}
-    return learn.document(trained, seen, description, made)
+    return learn.document(trained, (seen, target), description, made)

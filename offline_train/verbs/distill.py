@@ -62,4 +62,4 @@ def run(args: argparse.Namespace) -> int:
         "model": args.student,
         "seed": args.seed,
     }
-    return finish(args, trained, (seen, description), made)
+    return finish(args, trained, (seen, target, description), made)

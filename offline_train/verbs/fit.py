@@ -18,6 +18,7 @@ from apex_edge import plugins
 from apex_edge.errors import ApexError
 from apex_edge.triggers import model_file, weights
 from apex_edge.triggers.graph_net import ARCHITECTURES
+from apex_edge.types import Array
 from apex_edge.verbs.progress import Progress
 from offline_train.graph_models import files, paper
 from offline_train.trigger import data, learn
@@ -94,19 +95,20 @@ def _run_data(args: argparse.Namespace) -> int:
     with Progress("epochs", n_epochs) as progress:
         trained = learn.fit(seen, target, args.model, args.seed, n_epochs, progress.advance)
     made = {"label": args.label, "model": args.model, "seed": args.seed}
-    return finish(args, trained, (seen, description), made)
+    return finish(args, trained, (seen, target, description), made)
 
 
 def finish(
     args: argparse.Namespace,
     trained: Trained,
-    source: Tuple[Observed, data.Description],
+    source: Tuple[Observed, Array, data.Description],
     made: Dict[str, Any],
 ) -> int:
     """Write the model file, not yet certified, and print how it does on its own scenes."""
-    fields_now = learn.document(trained, *source, dict(made, libraries=learn.libraries(trained)))
+    seen, target, description = source
+    made = dict(made, libraries=learn.libraries(trained))
+    fields_now = learn.document(trained, (seen, target), description, made)
     write(fields_now, args.out)
-    seen = source[0]
     said = learn.said_by(weights.check(fields_now, str(args.out)), seen)
     found = frame_figures(seen.label.astype(bool), said)
     if args.json:

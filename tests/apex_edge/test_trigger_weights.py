@@ -180,9 +180,10 @@ def test_the_logit_clips_what_lies_outside_the_training():
     assert model.logit(far)[0] == model.logit(model.columns.hi[None])[0]
 
 
-def test_the_platt_line_turns_the_logit_before_it_is_a_probability():
-    model = weights.check(dict(SHIPPED, platt={"a": 0.5, "b": -1.0}), "tuned")
-    assert model.probability(np.array([2.0]))[0] == pytest.approx(0.5)
-    assert model.probability(np.array([6.0]))[0] == pytest.approx(1 / (1 + np.exp(-2.0)))
-    plain = weights.check(SHIPPED, "shipped")
+def test_the_chances_say_what_a_logit_means_and_without_them_the_sigmoid_does():
+    chances = {"logit": [-1.0, 1.0, 3.0], "probability": [0.1, 0.3, 0.9]}
+    model = weights.check(dict(SHIPPED, chances=chances), "tuned")
+    said = model.probability(np.array([-9.0, 0.0, 2.0, 9.0]))
+    assert said == pytest.approx([0.1, 0.2, 0.6, 0.9])
+    plain = weights.check({k: v for k, v in SHIPPED.items() if k != "chances"}, "plain")
     assert plain.probability(np.array([0.0, 1.0])) == pytest.approx([0.5, 1 / (1 + np.exp(-1.0))])

@@ -75,9 +75,7 @@ def test_golden_vectors_hold_single_pairs_a_star_and_two_stars_at_once():
 
 
 @pytest.mark.parametrize("architecture", ["diffgraphormer", "diffgat", "diffgcn"])
-def test_a_graph_net_with_a_platt_line_goes_through_the_export_to_the_device(
-    architecture, tmp_path
-):
+def test_a_graph_net_goes_through_the_export_to_the_device(architecture, tmp_path):
     pytest.importorskip("sklearn")
     made = weights.check(damages.made_graph(SHIPPED, 4), "made")
     spec = dataclasses.replace(
@@ -93,12 +91,12 @@ def test_a_graph_net_with_a_platt_line_goes_through_the_export_to_the_device(
     low, high = made.columns.lo - 1.0, made.columns.hi + 1.0
     keys = export.graph_keys(spec, layers, nodes)
     trained = export.Trained(keys, made.feature_set, made.columns, low, high)
-    notes = {"radius_m": [0.01, 0.1], "seed": 0, "metrics": {}, "platt": {"a": 0.5, "b": 1.0}}
+    notes = {"radius_m": [0.01, 0.1], "seed": 0, "metrics": {}, "provenance": {}}
     common = (Promise(), TriggerConfig(), notes)
     certified = export.document(trained, Threshold(0.25, 1, 299, 400), *common)
     export.write(certified, tmp_path / "graph.npz")
     model = weights.load_graph(tmp_path / "graph.npz")
-    assert model.threshold == 0.25 and model.platt == (0.5, 1.0)
+    assert model.threshold == 0.25
     for name, array in layers.items():
         assert np.array_equal(model.net.layers[name], array)
     export.write(export.document(trained, None, *common), tmp_path / "fresh.npz")

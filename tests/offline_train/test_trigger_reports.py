@@ -187,14 +187,6 @@ def test_where_the_rule_speaks_for_a_model_its_probability_counts(data, fields):
     assert "fallback_share" not in analytic
 
 
-def test_platt_scaling_is_part_of_what_a_model_says():
-    logit = np.array([-1.0, 0.0, 2.0])
-    plain = evaluation.probability({}, logit)
-    assert plain == pytest.approx(1.0 / (1.0 + np.exp(-logit)))
-    scaled = evaluation.probability({"platt": {"a": 2.0, "b": 1.0}}, logit)
-    assert scaled == pytest.approx(1.0 / (1.0 + np.exp(-(2.0 * logit + 1.0))))
-
-
 def test_a_set_in_which_nothing_moves_is_refused(models, data):
     empty = observe.observe(
         seeds.rng("test", 1),

@@ -22,14 +22,14 @@ from offline_train.trigger.calibrate import (
     is_watched,
 )
 from offline_train.trigger.certify import gate_of
-from offline_train.trigger.fit import thin
+from offline_train.trigger.fit import ROWS_PER_PAIR, thin
 from offline_train.trigger.metrics import calibration_error
 from offline_train.trigger.observe import Observed, Watching, draw_sensing, look, observe
 from offline_train.trigger.scoring import RULE_SURE, device_scorer, scorer
 
 _SUITE = "certificate"
 _N_CONTACT_SCENES, _N_SHIFTED = 16000, 600
-_N_PARTS, _N_SCENES = 4, 4000
+_N_PARTS, _N_SCENES = 10, 4000
 _N_DRAWS = 2000
 _SLACK = 0.05
 _ALPHA, _N_CALIBRATION = 0.05, 120
@@ -104,12 +104,12 @@ def _resampled(scores: Array, random: np.random.Generator) -> List[Line]:
 
 
 def _calibration(fields: Dict[str, Any], seed: int) -> List[Line]:
-    """Compare probability and frequency, one frame a pair: those of one approach are alike."""
+    """Compare probability and frequency on a few frames of each pair, as the model was fitted."""
     model, score = weights.check(fields, "shipped"), scorer(fields)
     chances, labels = [], []
     for part in range(_N_PARTS):
         seen = _watch(fields, seed, 10 + part, _N_SCENES, Watching())
-        kept = seen.take(thin(seen.pair, 1, part))
+        kept = seen.take(thin(seen.pair, ROWS_PER_PAIR, part))
         chances.append(model.probability(score(kept)))
         labels.append(kept.label)
     chance, label = np.concatenate(chances), np.concatenate(labels)

@@ -79,7 +79,18 @@ OF_ANY: Dict[str, Tuple[Callable[[Fields], None], str]] = {
     "provenance that is text": (changed(["provenance"], "me"), "provenance must be"),
     "no provenance": (without(["provenance"]), "provenance"),
     "an unknown key": (changed(["comment"], "hi"), "comment"),
-    "a falling Platt line": (changed(["platt"], {"a": -1.0, "b": 0.0}), "platt"),
+    "chances that fall": (
+        changed(["chances"], {"logit": [-1.0, 1.0], "probability": [0.6, 0.4]}),
+        "chances",
+    ),
+    "chances above certainty": (
+        changed(["chances"], {"logit": [-1.0, 1.0], "probability": [0.6, 1.4]}),
+        "chances",
+    ),
+    "chances at logits out of order": (
+        changed(["chances"], {"logit": [1.0, -1.0], "probability": [0.4, 0.6]}),
+        "chances",
+    ),
     "a golden logit that is off": (changed(["golden", 1, "logit", 0], 0.123), "golden vector 1"),
     "a golden feature that is off": (
         changed(["golden", 0, "features", 0, 2], 0.1),
