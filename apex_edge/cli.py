@@ -37,6 +37,7 @@ EXTRA_OF = {
     "mujoco": "offline",
     "optuna": "sweep",
     "sklearn": "train",
+    "threadpoolctl": "train",
     "torch": "graph",
     "torch_geometric": "graph",
     "yaml": "hiwonder",

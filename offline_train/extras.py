@@ -3,20 +3,30 @@
 import importlib
 from typing import Any
 
-from offline_train.trigger.fit import MissingExtraError
+from apex_edge.cli import EXTRA_OF
+from apex_edge.errors import ApexError
 
 
-def module(name: str, extra: str) -> Any:
-    """Import a module of an extra late, so that nothing else needs it.
+class MissingExtraError(ApexError):
+    """Name the extra to install for work that is done off the device."""
+
+    slug = "missing-extra"
+
+
+def module(name: str) -> Any:
+    """Import a module that needs a package of an extra, late, so that nothing else needs it.
 
     Raises
     ------
-    MissingExtraError : it is not installed; says what to type.
+    MissingExtraError : the package is not installed; says what to type.
     """
     try:
         return importlib.import_module(name)
     except ImportError as error:
+        package = (error.name or name).split(".")[0]
+        if package not in EXTRA_OF:
+            raise
         raise MissingExtraError(
-            f"this needs {name.split('.')[0]}, which is not here ({error}); "
-            f"install it on a workstation with: pip install 'apex-edge[{extra}]'"
+            f"this needs {package}, which is not here ({error}); install it on a workstation "
+            f"with: pip install 'apex-edge[{EXTRA_OF[package]}]'"
         ) from error

@@ -32,9 +32,8 @@ from typing import (
 from apex_edge.errors import ApexError
 from apex_edge.verbs.progress import Progress
 from offline_train import shards
-from offline_train.extras import module
+from offline_train.extras import MissingExtraError, module
 from offline_train.job_key import JobError, JobKey, Task, generator, job_key
-from offline_train.trigger.fit import MissingExtraError
 
 MAX_TRIES = 3
 """Tries of an item that raises, or that kills its worker when it has it alone."""
@@ -140,7 +139,7 @@ def compute(job: Job, index: int, item: Any) -> Outcome:
     ------
     JobError : the shard cannot be written; that is the folder's fault and not the item's.
     """
-    limit = module("threadpoolctl", "train").threadpool_limits
+    limit = module("threadpoolctl").threadpool_limits
     try:
         with _thread_variables("1"), limit(1):
             arrays = job.task(item, generator(job.key.seed, index))
@@ -282,7 +281,7 @@ def _engine(n_jobs: int, scheduler: Optional[str]) -> Iterator[Engine]:
     elif n_jobs > 1:
         yield _loky(n_jobs)
     else:
-        module("threadpoolctl", "train")
+        module("threadpoolctl")
         yield _here
 
 
@@ -292,8 +291,8 @@ def _here(job: Job, items: Sequence[Any], indices: Sequence[int]) -> Iterator[Ou
 
 def _loky(n_jobs: int) -> Engine:
     """Return the engine of processes on this machine."""
-    joblib = module("joblib", "train")
-    broken = module("joblib.externals.loky.process_executor", "train").BrokenProcessPool
+    joblib = module("joblib")
+    broken = module("joblib.externals.loky.process_executor").BrokenProcessPool
 
     def engine(job: Job, items: Sequence[Any], indices: Sequence[int]) -> Iterator[Outcome]:
         started: Dict[int, None] = {}
@@ -330,7 +329,7 @@ def _dask(address: str) -> Iterator[Engine]:
     Not through joblib's dask backend: with joblib 1.6.0 that waits forever for a task that dask
     has given up (4 workers died with it); the error never reaches joblib's callback.
     """
-    distributed = module("distributed", "distributed")
+    distributed = module("distributed")
     try:
         client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:  # its TimeoutError is an OSError
@@ -373,7 +372,7 @@ def _dask_outcome(index: int, result: Any, address: str) -> Outcome:
     if isinstance(result, Outcome):
         return result
     error = result[1] if isinstance(result, tuple) else result
-    if isinstance(error, module("distributed", "distributed").KilledWorker):
+    if isinstance(error, module("distributed").KilledWorker):
         return Outcome(index, n_lost=error.allowed_failures + 1)
     if isinstance(error, ApexError):
         raise error

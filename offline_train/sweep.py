@@ -106,7 +106,7 @@ def _round(objective: Objective, plan: Plan, shares: List[int], n_complete: int)
 
 def _work(objective: Objective, plan: Plan, n_trials: int, sampler_seed: int) -> None:
     """Do some trials; the body of a worker process."""
-    optuna = module("optuna", "sweep")
+    optuna = module("optuna")
     sampler = optuna.samplers.TPESampler(seed=sampler_seed)
     _open(plan, sampler).optimize(objective, n_trials=n_trials)
 
@@ -118,8 +118,8 @@ def _open(plan: Plan, sampler: Any = None) -> Any:
     ------
     JobError : the data base cannot be used.
     """
-    optuna = module("optuna", "sweep")
-    sql_error = module("sqlalchemy.exc", "sweep").SQLAlchemyError
+    optuna = module("optuna")
+    sql_error = module("sqlalchemy.exc").SQLAlchemyError
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     # the heartbeat has been "experimental" since 2021
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -143,9 +143,9 @@ def _open(plan: Plan, sampler: Any = None) -> Any:
 
 
 def _fail_stale(study: Any) -> None:
-    module("optuna", "sweep").storages.fail_stale_trials(study)
+    module("optuna").storages.fail_stale_trials(study)
 
 
 def _n_complete(study: Any) -> int:
-    state = module("optuna", "sweep").trial.TrialState.COMPLETE
+    state = module("optuna").trial.TrialState.COMPLETE
     return len(study.get_trials(deepcopy=False, states=(state,)))

@@ -16,8 +16,8 @@ from apex_edge.errors import WeightsError
 from apex_edge.triggers import model_file
 from apex_edge.triggers.graph_net import GraphSpec
 from apex_edge.triggers.models import Columns
+from offline_train.extras import module
 from offline_train.graph_models.fitted import GraphFit, from_layers
-from offline_train.graph_models.need import graph_module
 
 FEATURE_SET = "paper-star"
 _DATA = Path(__file__).resolve().parent.parent / "data"
@@ -53,7 +53,7 @@ def libraries() -> Dict[str, str]:
     """Return the versions that the bytes of a trained graph model depend on."""
     found = {"python": platform.python_version(), "numpy": np.__version__}
     for name in ("torch", "torch_geometric"):
-        found[name] = str(graph_module(name).__version__)
+        found[name] = str(module(name).__version__)
     return found
 
 

@@ -13,9 +13,9 @@ from typing import Callable, Dict, Optional
 import numpy as np
 
 from apex_edge.types import Array
+from offline_train.extras import module
 from offline_train.graph_models.batches import Graphs, star_graphs
 from offline_train.graph_models.fitted import GraphFit
-from offline_train.graph_models.need import graph_module
 from offline_train.graph_models.specs import paper_spec
 from offline_train.scenes.star import (
     EDGE_NAMES,
@@ -79,8 +79,8 @@ def train_paper(
     ------
     MissingExtraError : PyTorch or PyTorch Geometric is not installed.
     """
-    models = graph_module("offline_train.graph_models.models")
-    training = graph_module("offline_train.graph_models.training")
+    models = module("offline_train.graph_models.models")
+    training = module("offline_train.graph_models.training")
     graphs = paper_graphs(paper_stars("train", seed, N_GRAPHS), quirks)
     spec = paper_spec(architecture, NODE_NAMES, EDGE_NAMES, not quirks.is_edge_dim_missing)
     options = training.Options(

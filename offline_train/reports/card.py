@@ -139,7 +139,7 @@ def _what(fields: Mapping[str, Any]) -> str:
 def _training(fields: Mapping[str, Any], stem: str) -> str:
     rows = [f"- {key}: {value}" for key, value in _flat(fields["provenance"], "")]
     text = "\n".join(rows)
-    commands = recipe.commands(fields, stem)
+    commands = recipe.commands(fields)
     if commands:
         text += (
             "\n\nThe commands, as far as the file records them (scenes to certify on are taken to "

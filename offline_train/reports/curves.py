@@ -5,13 +5,12 @@ style and a marker of its own as well, so that the plots survive a black-and-whi
 is drawn thick and on top of its baselines. Source: ours.
 """
 
-import importlib
 import io
 import math
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
+from offline_train.extras import module
 from offline_train.trigger.evaluate import ANALYTIC, BOOSTING, PAPER_RISK, SPEED
-from offline_train.trigger.fit import MissingExtraError
 
 NAMES = ("pr", "roc", "reliability", "leads")
 _SETTINGS = {
@@ -86,23 +85,13 @@ def styles_of(names: Sequence[str]) -> Dict[str, _Style]:
 
 
 def _figure(paint: Callable[[Any], None]) -> str:
-    matplotlib = _module("matplotlib")
+    matplotlib = module("matplotlib")
     with matplotlib.rc_context(_SETTINGS):
-        figure = _module("matplotlib.figure").Figure(figsize=_SIZE_IN, layout="constrained")
+        figure = module("matplotlib.figure").Figure(figsize=_SIZE_IN, layout="constrained")
         paint(figure.add_subplot())
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     return out.getvalue()
-
-
-def _module(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise MissingExtraError(
-            f"plots need matplotlib, which is not here ({error}); "
-            "install it on a workstation with: pip install 'apex-edge[train]'"
-        ) from error
 
 
 def _pr(axes: Any, points: Mapping[str, Any], rules: Any, styles: Mapping[str, _Style]) -> None:

@@ -2,10 +2,10 @@
 
 from typing import Any, List, Mapping, Sequence
 
-from offline_train.scenes import tabletop_pairs
+from apex_edge.triggers.wide import WIDE_SET
 
 
-def commands(fields: Mapping[str, Any], stem: str) -> List[str]:
+def commands(fields: Mapping[str, Any]) -> List[str]:
     """Return the commands, one a line; none where the document does not say enough.
 
     Scenes to certify on and frames a scene are taken to be watched as usual.
@@ -13,9 +13,6 @@ def commands(fields: Mapping[str, Any], stem: str) -> List[str]:
     made = fields["provenance"]
     if "command" in made:
         return [str(made["command"])]
-    if "seed" in made and made.get("generator") == tabletop_pairs.NAME and "data" not in made:
-        # Only ``apex train trigger`` draws its scenes itself.
-        return [f"apex train trigger --seed {made['seed']} --out {stem}.json"]
     if not {"data", "model", "seed"} <= set(made) or "teacher" in made:
         return []
     lines = [_generate(made["data"], "train", fields)]
@@ -36,12 +33,14 @@ def commands(fields: Mapping[str, Any], stem: str) -> List[str]:
 
 
 def _generate(drawn: Mapping[str, Any], purpose: str, fields: Mapping[str, Any]) -> str:
+    flags = [" --only-contacts"] if drawn.get("only_contacts") else []
+    flags += [" --wide"] if fields["feature_set"] == WIDE_SET else []
     noise_mm = [1000.0 * sd for sd in fields["noise_model"]["sd_m"]]
     return (
         f"apex train generate --scenario {drawn['scenario']} --scenes {drawn['n_scenes']} "
         f"--seed {drawn['seed']} --purpose {purpose} --noise-mm {_span(noise_mm)} "
         f"--fps {_span(fields['fps_range'])} --window {_span(fields['windows'])} "
-        f"--horizon {fields['horizon_s']:g} --out {purpose}"
+        f"--horizon {fields['horizon_s']:g}{''.join(flags)} --out {purpose}"
     )
 
 

@@ -6,7 +6,6 @@ just over the table and moved the same way. Source: APEX section "Simulate" (MuJ
 the table is ours.
 """
 
-import importlib
 import math
 from dataclasses import dataclass
 from typing import Any, List, NamedTuple, Sequence, Tuple
@@ -14,7 +13,7 @@ from typing import Any, List, NamedTuple, Sequence, Tuple
 import numpy as np
 
 from apex_edge.types import Array
-from offline_train.trigger.fit import MissingExtraError
+from offline_train.extras import module
 
 GRAVITY_M_S2 = 9.81
 # Sliding distance comes out within 2 % up to this step, within 5 % at twice of it.
@@ -83,22 +82,6 @@ class Run:
         return contact
 
 
-def mujoco_module(name: str = "mujoco") -> Any:
-    """Import MuJoCo late, so that nothing else needs it.
-
-    Raises
-    ------
-    MissingExtraError : MuJoCo is not installed; says what to type.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise MissingExtraError(
-            f"simulated truth needs MuJoCo, which is not here ({error}); install it on a "
-            "workstation with Python 3.11 or newer: pip install 'apex-edge[offline]'"
-        ) from error
-
-
 def run(bodies: Sequence[Body], until_s: float, step_s: float = STEP_S) -> Run:
     """Simulate a table from time 0 to ``until_s``; the first body is the one that is watched.
 
@@ -106,7 +89,7 @@ def run(bodies: Sequence[Body], until_s: float, step_s: float = STEP_S) -> Run:
     ------
     MissingExtraError : MuJoCo is not installed.
     """
-    mujoco, rollout = mujoco_module(), mujoco_module("mujoco.rollout")
+    mujoco, rollout = module("mujoco"), module("mujoco.rollout")
     model = mujoco.MjModel.from_xml_string(_xml(bodies, step_s))
     data = mujoco.MjData(model)
     for number, body in enumerate(bodies):

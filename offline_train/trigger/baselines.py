@@ -8,7 +8,7 @@ import numpy as np
 
 from apex_edge.triggers.features import FEATURE_NAMES
 from apex_edge.types import Array
-from offline_train.trigger.fit import sklearn_module
+from offline_train.extras import module
 from offline_train.trigger.observe import Observed
 
 _WEIGHTS = (0.34, 0.33, 0.33)
@@ -58,7 +58,7 @@ def gradient_boosting(train: Array, label: Array, test: Array, seed: int) -> Arr
     ------
     MissingExtraError : scikit-learn is not installed.
     """
-    trees = sklearn_module("sklearn.ensemble").HistGradientBoostingClassifier(
+    trees = module("sklearn.ensemble").HistGradientBoostingClassifier(
         max_iter=150,
         learning_rate=0.06,
         max_leaf_nodes=15,

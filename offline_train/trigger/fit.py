@@ -1,25 +1,19 @@
 """Fit the logistic regression on frames of the training scenes."""
 
-import importlib
 from dataclasses import dataclass
-from typing import Any, Sequence
+from typing import Sequence
 
 import numpy as np
 
 from apex_edge.errors import ApexError
 from apex_edge.triggers.features import FEATURE_NAMES
 from apex_edge.types import Array
+from offline_train.extras import module
 from offline_train.trigger.observe import Observed
 from offline_train.trigger.scaling import LIMIT_SD, fitted, spread
 
 # Frames of one approach are alike; a few of each are enough.
 ROWS_PER_PAIR = 12
-
-
-class MissingExtraError(ApexError):
-    """Name the extra to install for work that is done off the device."""
-
-    slug = "missing-extra"
 
 
 @dataclass(frozen=True)
@@ -47,22 +41,6 @@ class LinearFit:
         """Return the logit (m,) of features (m, 12)."""
         result: Array = self.standardise(features) @ self.weight + self.bias
         return result
-
-
-def sklearn_module(name: str) -> Any:
-    """Import a scikit-learn module late, so that nothing else needs it.
-
-    Raises
-    ------
-    MissingExtraError : scikit-learn is not installed; says what to type.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise MissingExtraError(
-            f"training needs scikit-learn, which is not here ({error}); "
-            "install it on a workstation with: pip install 'apex-edge[train]'"
-        ) from error
 
 
 def fit(train: Observed, seed: int) -> LinearFit:
@@ -109,7 +87,7 @@ def fit_rows(
     if label.all() or not label.any():
         raise ApexError("the targets are all alike: there is nothing to tell apart")
     rows = np.tile(np.arange(len(target)), 2)[counts]
-    linear = sklearn_module("sklearn.linear_model")
+    linear = module("sklearn.linear_model")
     model = linear.LogisticRegression(C=strength, solver=solver, max_iter=5000, tol=1e-8)
     model.fit(columns(features)[rows], label, sample_weight=weight[counts])
     low, high = spread(features)

@@ -20,14 +20,14 @@ from apex_edge.triggers.models import Model
 from apex_edge.triggers.stars import NODE_NAMES, stars
 from apex_edge.triggers.wide import WIDE_SET
 from apex_edge.types import Array
+from offline_train.extras import module
 from offline_train.graph_models import files
 from offline_train.graph_models.batches import Graphs
-from offline_train.graph_models.need import graph_module
 from offline_train.scenes.star import RISK_TAU
 from offline_train.trigger import baselines, export
 from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.data import Description
-from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, sklearn_module, thin
+from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, thin
 from offline_train.trigger.observe import Observed
 from offline_train.trigger.scaling import fitted, spread
 from offline_train.trigger.scoring import features_of, logits
@@ -96,7 +96,7 @@ def fit(
         raise ApexError(
             f"{name}: no device runs boosted trees; apex train evaluate sets them beside a model"
         )
-    training = graph_module("offline_train.graph_models.training")
+    training = module("offline_train.graph_models.training")
     make = plugins.load("graph_models", name)
     rows = whole_frames(seen, seed)
     graphs, _ = watched_graphs(seen, target, rows)
@@ -128,10 +128,10 @@ def check_packages(name: str) -> None:
     MissingExtraError : says what to install.
     PluginError : no model of that name.
     """
-    sklearn_module("sklearn")
+    module("sklearn")
     if name not in _FEATURES:
         plugins.load("graph_models", name)
-        graph_module("offline_train.graph_models.training")
+        module("offline_train.graph_models.training")
 
 
 def libraries(trained: export.Trained) -> Dict[str, str]:
@@ -139,7 +139,7 @@ def libraries(trained: export.Trained) -> Dict[str, str]:
     if trained.keys["kind"] == "graph":
         return files.libraries()
     found = {"python": platform.python_version(), "numpy": np.__version__}
-    found["scikit-learn"] = sklearn_module("sklearn").__version__
+    found["scikit-learn"] = module("sklearn").__version__
     return found
 
 
@@ -239,6 +239,6 @@ def chances(logit: Array, target: Array, n: int = 40) -> Dict[str, List[float]]:
     middle = np.array([logit[part].mean() for part in groups])
     share = np.array([target[part].mean() for part in groups])
     rising = np.r_[True, np.diff(middle) > 0.0]
-    isotonic = sklearn_module("sklearn.isotonic").IsotonicRegression(y_min=0.0, y_max=1.0)
+    isotonic = module("sklearn.isotonic").IsotonicRegression(y_min=0.0, y_max=1.0)
     level = isotonic.fit_transform(middle[rising], share[rising])
     return {"logit": middle[rising].tolist(), "probability": level.tolist()}

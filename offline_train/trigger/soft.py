@@ -21,7 +21,7 @@ import numpy as np
 
 from apex_edge.triggers.approach import Pairs
 from apex_edge.types import Array
-from offline_train.scenes.mujoco_world import mujoco_module
+from offline_train.extras import module
 from offline_train.trigger.observe import Observed
 
 N_ROLLOUTS = 32
@@ -139,8 +139,8 @@ class _Slots:
     """One model of n pairs side by side, used again and again with other numbers."""
 
     def __init__(self, n: int) -> None:
-        self._mujoco = mujoco_module()
-        self._rollout: Any = mujoco_module("mujoco.rollout").rollout
+        self._mujoco = module("mujoco")
+        self._rollout: Any = module("mujoco.rollout").rollout
         self._model = self._mujoco.MjModel.from_xml_string(_xml(n))
         self._data = self._mujoco.MjData(self._model)
         self.n = n

@@ -5,9 +5,10 @@ from typing import Any, Tuple
 
 from apex_edge.triggers.base import TriggerConfig
 from apex_edge.triggers.features import FEATURE_NAMES
+from offline_train.extras import module
 from offline_train.scenes import tabletop_pairs
 from offline_train.trigger import seeds
-from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, sklearn_module, thin
+from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, thin
 from offline_train.trigger.observe import Observed, Watching, observe
 
 STRENGTH = (1e-3, 1e3)
@@ -31,7 +32,7 @@ def linear_pr_auc(trial: Any, seed: int, n_scenes: int) -> float:
     limit_sd = trial.suggest_float("limit_sd", *LIMIT_SD)
     train, held = _split(seed, n_scenes)
     model = fit_rows(train.features, train.label, FEATURE_NAMES, strength, limit_sd)
-    metrics = sklearn_module("sklearn.metrics")
+    metrics = module("sklearn.metrics")
     return float(metrics.average_precision_score(held.label, model.logit(held.features)))
 
 

@@ -9,15 +9,16 @@ import torch
 from apex_edge import plugins
 from apex_edge.errors import PluginError
 from apex_edge.triggers.graph_net import ARCHITECTURES, GRAPHORMER, GraphNet
+from offline_train import extras
 from offline_train.benchmarks.trigger import graph_parity
-from offline_train.graph_models import models, need
+from offline_train.extras import MissingExtraError
+from offline_train.graph_models import models
 from offline_train.graph_models.base import Batch, EdgeModel
 from offline_train.graph_models.batches import Graphs, batches, star_graphs
 from offline_train.graph_models.fitted import from_layers
 from offline_train.graph_models.specs import full_spec, paper_spec
 from offline_train.graph_models.training import Options, fit, tensors
 from offline_train.scenes import star
-from offline_train.trigger.fit import MissingExtraError
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +203,6 @@ def test_without_pytorch_it_says_what_to_install(monkeypatch):
     def missing(name):
         raise ImportError(f"No module named {name!r}", name="torch_geometric.nn")
 
-    monkeypatch.setattr(need.importlib, "import_module", missing)
+    monkeypatch.setattr(extras.importlib, "import_module", missing)
     with pytest.raises(MissingExtraError, match=r"pip install 'apex-edge\[graph\]'"):
         graph_parity.differences("test", 1, 1)

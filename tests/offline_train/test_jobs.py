@@ -10,10 +10,10 @@ import pytest
 
 from offline_train import extras, jobs, shards
 from offline_train.benchmarks.trigger import toy_jobs
+from offline_train.extras import MissingExtraError
 from offline_train.job_key import JobError, JobKey, generator, job_key
 from offline_train.jobs import Outcome
 from offline_train.trigger import seeds
-from offline_train.trigger.fit import MissingExtraError
 
 pytest.importorskip("threadpoolctl")
 KEY = JobKey("module.task", (1,), 3, "0" * 64)
@@ -54,7 +54,7 @@ def threads(item, rng):
 
 
 def needy(item, rng):
-    extras.module("no_such_package", "graph")
+    extras.module("no_such_package")
     return {}
 
 

@@ -4,11 +4,11 @@ import sys
 import numpy as np
 import pytest
 
+from offline_train.extras import MissingExtraError
 from offline_train.scenes import mujoco_table, mujoco_world
 from offline_train.scenes.mujoco_world import DRIVEN, FLICKED, PUSHED, STEP_S, Body, run
 from offline_train.scenes.truth import LOOK_AHEAD_S, scenario
 from offline_train.trigger import seeds
-from offline_train.trigger.fit import MissingExtraError
 
 pytest.importorskip("mujoco")
 FAR = Body(False, FLICKED, 5.0, 5.0, 0.0, 0.015, 0.3)

@@ -9,11 +9,11 @@ import pytest
 from apex_edge.errors import InputError
 from apex_edge.triggers import weights
 from apex_edge.triggers.base import TriggerConfig
-from offline_train import verb
+from offline_train import extras, verb
+from offline_train.extras import MissingExtraError
 from offline_train.reports import card, curves, evaluation, recipe, tables
 from offline_train.scenes import tabletop_pairs
 from offline_train.trigger import evaluate, observe, seeds
-from offline_train.trigger.fit import MissingExtraError
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("sklearn")
@@ -102,26 +102,25 @@ def test_the_commands_of_a_model_can_be_read_off_what_it_records(fields):
         "model": "linear12",
         "label": "truth",
         "seed": 2,
-        "certified_on": dict(drawn, kind="generated", n_scenes=900),
+        "certified_on": dict(drawn, kind="generated", n_scenes=900, only_contacts=True),
     }
     watching = "--noise-mm 0.5:3 --fps 20:30 --window 5:20 --horizon 5"
-    assert recipe.commands(fitted, "x") == [
+    assert recipe.commands(fitted) == [
         "apex train generate --scenario committed --scenes 300 --seed 5 --purpose train "
         f"{watching} --out train",
         "apex train fit --model linear12 --data train --label truth --seed 2 --out fitted.json",
         "apex train generate --scenario committed --scenes 900 --seed 5 --purpose calibration "
-        f"{watching} --out calibration",
+        f"{watching} --only-contacts --out calibration",
         "apex train calibrate --model fitted.json --data calibration --alpha 0.01 "
         "--confidence 0.95 --lead 1 --out certified.json",
     ]
-    for line in recipe.commands(fitted, "x"):
+    for line in recipe.commands(fitted):
         parser = argparse.ArgumentParser()
         verb.add_arguments(parser)
         parser.parse_args(line.split()[2:])
-    assert recipe.commands(fields, "y") == [
-        f"apex train trigger --seed {fields['provenance']['seed']} --out y.json"
-    ]
-    assert recipe.commands(dict(fields, provenance={"generator": "paper-star"}), "z") == []
+    wide = dict(fitted, feature_set="wide")
+    assert " --horizon 5 --wide --out train" in recipe.commands(wide)[0]
+    assert recipe.commands(dict(fields, provenance={"generator": "paper-star"})) == []
 
 
 def test_a_file_without_a_threshold_is_said_to_promise_nothing(fields, tested):
@@ -203,6 +202,6 @@ def test_without_matplotlib_it_says_what_to_install(monkeypatch, tested):
     def missing(name):
         raise ImportError(f"No module named {name!r}")
 
-    monkeypatch.setattr(curves.importlib, "import_module", missing)
+    monkeypatch.setattr(extras.importlib, "import_module", missing)
     with pytest.raises(MissingExtraError, match=r"pip install 'apex-edge\[train\]'"):
         curves.draw(tested.evaluation, tested.points)

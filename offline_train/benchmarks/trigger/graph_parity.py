@@ -64,11 +64,11 @@ def differences(purpose: str, seed: int, n_graphs: int) -> Tuple[float, float]:
     ------
     MissingExtraError : PyTorch or PyTorch Geometric is not installed.
     """
-    from offline_train.graph_models.need import graph_module
+    from offline_train.extras import module
 
-    torch = graph_module("torch")
-    models = graph_module("offline_train.graph_models.models")
-    base = graph_module("offline_train.graph_models.base")
+    torch = module("torch")
+    models = module("offline_train.graph_models.models")
+    base = module("offline_train.graph_models.base")
     random = rng(purpose, seed)
     specs = variants()
     worst = {torch.float32: 0.0, torch.float64: 0.0}

@@ -16,8 +16,8 @@ from apex_edge.triggers.features import FEATURE_NAMES
 from apex_edge.triggers.graph_net import ARCHITECTURES, GRAPHORMER, GraphSpec
 from apex_edge.types import Array
 from offline_train.benchmarks.lines import Line, at_least, at_most, note
+from offline_train.extras import module
 from offline_train.graph_models.batches import Graphs, star_graphs
-from offline_train.graph_models.need import graph_module
 from offline_train.graph_models.specs import full_spec, paper_spec
 from offline_train.scenes import star
 from offline_train.trigger.fit import fit_rows
@@ -74,8 +74,8 @@ def linear_scores(train: star.StarSet, test: star.StarSet) -> Dict[str, Array]:
 
 def graph_scores(train: star.StarSet, test: star.StarSet, seed: int) -> Dict[str, Array]:
     """Return the logits (R,) of the graph models, all trained with logits and scaled inputs."""
-    models = graph_module("offline_train.graph_models.models")
-    training = graph_module("offline_train.graph_models.training")
+    models = module("offline_train.graph_models.models")
+    training = module("offline_train.graph_models.training")
     options = training.Options(seed=seed, is_balanced=True)
     scores: Dict[str, Array] = {}
     for what, spec, see in graph_variants():

@@ -315,11 +315,11 @@ def dask_cluster(log: Path, n_forgiven: int = 3) -> Iterator[str]:
 
     It gives an item up when more than ``n_forgiven`` workers died with it.
     """
-    distributed = module("distributed", "distributed")
+    distributed = module("distributed")
     # a worker's death, which is the point, would fill the screen
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     forgiven = {"distributed.scheduler.allowed-failures": n_forgiven}
-    with module("dask.config", "distributed").set(forgiven), distributed.LocalCluster(
+    with module("dask.config").set(forgiven), distributed.LocalCluster(
         n_workers=2,
         threads_per_worker=1,
         processes=True,

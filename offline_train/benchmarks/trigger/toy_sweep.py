@@ -46,7 +46,7 @@ def kill_a_sweeper(scratch: Path, seed: int) -> FoundTrials:
     plan = Plan(f"sqlite:///{scratch / 'sweep.db'}", f"toy-{seed}", seed, heartbeat_s=1)
     objective = functools.partial(toy_objective, mark=str(scratch / "killed"))
     swept = sweep(objective, N_TRIALS, plan, n_jobs=2)
-    optuna = module("optuna", "sweep")
+    optuna = module("optuna")
     trials = optuna.load_study(study_name=plan.name, storage=plan.storage).trials
     state = optuna.trial.TrialState
     complete = [trial.params["x"] for trial in trials if trial.state == state.COMPLETE]
