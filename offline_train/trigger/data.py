@@ -22,7 +22,9 @@ from offline_train.job_key import Task, generator, job_key
 from offline_train.scenes import star
 from offline_train.scenes.truth import LOOK_AHEAD_S, scenario
 from offline_train.trigger import seeds
+from offline_train.trigger.fit import ROWS_PER_PAIR, thin
 from offline_train.trigger.observe import Observed, Watching, join, observe
+from offline_train.trigger.soft import soften
 
 DESCRIPTION = "description.json"
 FORMAT = "apex-edge-data"
@@ -98,6 +100,10 @@ def describe(
         return Description(STARS, name, _STAR_VERSION, purpose, seed, n_scenes)
     watching = watching if watching is not None else Watching()
     check_watching(watching)
+    if watching.n_rollouts and purpose != "train":
+        raise DataError(
+            f"purpose {purpose}: soft labels are for scenes to learn from; truth judges"
+        )
     return Description(
         WATCHED,
         name,
@@ -128,6 +134,8 @@ def check_watching(watching: Watching) -> None:
             raise DataError(f"{name} {low:g} to {high:g}: expected within {least:g} to {most:g}")
     if not 1 <= watching.stride <= watching.n_frames:
         raise DataError(f"stride {watching.stride}: expected 1 to {watching.n_frames}")
+    if not 0 <= watching.n_rollouts <= 1000:
+        raise DataError(f"n_rollouts {watching.n_rollouts}: expected 0 to 1000")
     if not 0.0 < watching.horizon_s <= LOOK_AHEAD_S:
         raise DataError(f"horizon_s {watching.horizon_s:g}: expected above 0, up to {LOOK_AHEAD_S}")
 
@@ -258,6 +266,9 @@ def draw_watched(part: Part, random: np.random.Generator) -> Dict[str, Array]:
         raise DataError(f"{wanted.scenario}: this worker would draw {known}, wanted is {wanted}")
     config = TriggerConfig()
     seen = observe(random, wanted.scenario, part.n_scenes, watching, config, wanted.only_contacts)
+    if watching.n_rollouts:
+        seen = seen.take(thin(seen.pair, ROWS_PER_PAIR, wanted.seed))
+        seen = soften(seen, np.arange(len(seen.pair)), random, watching.n_rollouts)
     return seen.to_arrays()
 
 

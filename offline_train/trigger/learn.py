@@ -57,7 +57,10 @@ def targets(seen: Observed, label: str) -> Array:
         return seen.label.astype(np.float64)
     if label == "soft":
         if not np.all(np.isfinite(seen.soft)):
-            raise ApexError("label soft: these scenes were drawn without perturbed roll-outs")
+            raise ApexError(
+                "label soft: these scenes were drawn without perturbed roll-outs; "
+                "apex train generate --soft 32 makes them"
+            )
         return seen.soft
     if label == "paper-risk":
         risk = baselines.paper_risk(seen)

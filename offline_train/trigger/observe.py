@@ -44,6 +44,8 @@ class Watching:
     Without ``is_gated`` every pair is a row, as a study of the classifier alone needs; the device
     judges only what passes its gate. Every ``stride``-th frame is judged, the last one included;
     a vote needs them all. ``is_wide``: the features of several windows are worked out too.
+    ``n_rollouts`` soften a few rows of each pair in a data folder to learn from (see ``soft``), and
+    only those are kept; 0 = none.
     """
 
     noise_m: Tuple[float, float] = (0.0005, 0.003)
@@ -56,6 +58,7 @@ class Watching:
     is_gated: bool = True
     stride: int = 1
     is_wide: bool = False
+    n_rollouts: int = 0
 
 
 @dataclass(frozen=True)

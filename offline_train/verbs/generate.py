@@ -35,6 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", type=_range, metavar="LO[:HI]", help=what)
     parser.add_argument("--frames", type=int, help=f"frames watched ({_USUAL.n_frames})")
     parser.add_argument("--horizon", type=float, help=f"s, of the label ({_USUAL.horizon_s:g})")
+    parser.add_argument(
+        "--soft",
+        type=int,
+        metavar="N",
+        help="soft labels by N roll-outs each, for a few frames of each pair; keeps only those",
+    )
     parser.add_argument("--wide", action="store_true", help="the wide features as well")
     parser.add_argument(
         "--only-contacts", action="store_true", help="keep only scenes that end in a contact"
@@ -78,6 +84,7 @@ def _watching(args: argparse.Namespace) -> Optional[Watching]:
         "n_frames": args.frames,
         "horizon_s": args.horizon,
         "is_wide": args.wide or None,
+        "n_rollouts": args.soft,
     }
     chosen = {name: value for name, value in given.items() if value is not None}
     return Watching(**chosen) if chosen else None

@@ -1,5 +1,6 @@
 import argparse
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -215,3 +216,14 @@ def test_options_that_make_no_sense_are_refused_before_anything_is_written(
 def test_a_scenario_nobody_knows_is_refused():
     with pytest.raises(PluginError, match="comitted"):
         described(name="comitted")
+
+
+def test_scenes_with_soft_labels_keep_the_rows_that_have_one_and_are_for_learning():
+    pytest.importorskip("mujoco")
+    watching = replace(SMALL, n_rollouts=8)
+    seen = data.draw(data.describe("tabletop-pairs", "train", 1, 20, watching))
+    assert len(seen.soft) > 20
+    assert ((seen.soft >= 0.0) & (seen.soft <= 1.0)).all()
+    assert np.abs(seen.soft - seen.label).mean() < 0.4
+    with pytest.raises(data.DataError, match="soft labels are for scenes to learn from"):
+        data.describe("tabletop-pairs", "test", 1, 20, watching)
