@@ -13,14 +13,18 @@ def commands(fields: Mapping[str, Any]) -> List[str]:
     made = fields["provenance"]
     if "command" in made:
         return [str(made["command"])]
-    if not {"data", "model", "seed"} <= set(made) or "teacher" in made:
+    if not {"data", "model", "seed"} <= set(made):
         return []
-    lines = [_generate(made["data"], "train", fields)]
     label = f" --label {made['label']}" if "label" in made else ""
-    lines.append(
-        f"apex train fit --model {made['model']} --data train{label} --seed {made['seed']} "
-        "--out fitted.json"
-    )
+    how = f"fit --model {made['model']}"
+    if "teacher_sha256" in made:
+        how = (
+            f"distill --teacher TEACHER --student {made['model']} --mix-truth {made['mix_truth']:g}"
+        )
+    lines = [
+        _generate(made["data"], "train", fields),
+        f"apex train {how} --data train{label} --seed {made['seed']} --out fitted.json",
+    ]
     certified, promise = made.get("certified_on", {}), fields["threshold"]
     if promise is not None and certified.get("kind") == "generated":
         lines += [

@@ -196,21 +196,17 @@ def watched_graphs(seen: Observed, target: Array, rows: Array) -> Tuple[Graphs, 
 
 
 def document(
-    trained: export.Trained,
-    learnt: Tuple[Observed, Array],
-    description: Description,
-    made: Dict[str, Any],
+    trained: export.Trained, seen: Observed, description: Description, made: Dict[str, Any]
 ) -> Dict[str, Any]:
     """Return the model document, not yet certified.
 
-    ``learnt`` holds the training rows and their targets (r,); a few rows of each pair set what
-    the logits mean. ``made`` joins its provenance.
+    Whatever the model learnt, its probability is that of contact: a few rows of each pair set
+    what a logit means. ``made`` joins its provenance.
 
     Raises
     ------
     WeightsError : the device would not build this model.
     """
-    seen, target = learnt
     radius = seen.geometry.radius_m
     notes = {
         "radius_m": [float(radius.min()), float(radius.max())],
@@ -226,12 +222,12 @@ def document(
     fields = export.document(trained, None, Promise(), TriggerConfig(), notes)
     said = logits(weights.check(fields, "fitted model"), seen)
     rows = thin(seen.pair, ROWS_PER_PAIR, 0)
-    fields["chances"] = chances(said[rows], target[rows])
+    fields["chances"] = chances(said[rows], seen.label[rows])
     fields["sha256"] = model_file.digest(fields)
     return fields
 
 
-def chances(logit: Array, target: Array, n: int = 40) -> Dict[str, List[float]]:
+def chances(logit: Array, label: Array, n: int = 40) -> Dict[str, List[float]]:
     """Return what logits mean: ``n`` of them that rise, and the share of contacts around each.
 
     Rows are put into groups of one size by their logit; neighbours whose shares fall are made one
@@ -240,7 +236,7 @@ def chances(logit: Array, target: Array, n: int = 40) -> Dict[str, List[float]]:
     order = np.argsort(logit, kind="stable")
     groups = [part for part in np.array_split(order, n) if len(part)]
     middle = np.array([logit[part].mean() for part in groups])
-    share = np.array([target[part].mean() for part in groups])
+    share = np.array([label[part].mean() for part in groups])
     rising = np.r_[True, np.diff(middle) > 0.0]
     isotonic = module("sklearn.isotonic").IsotonicRegression(y_min=0.0, y_max=1.0)
     level = isotonic.fit_transform(middle[rising], share[rising])

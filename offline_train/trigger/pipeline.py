@@ -63,7 +63,6 @@ def train(
 
 
 def _fitted(seen: Observed, description: data.Description, name: str, seed: int) -> Dict[str, Any]:
-    target = learn.targets(seen, "truth")
-    trained = learn.fit(seen, target, name, seed)
+    trained = learn.fit(seen, learn.targets(seen, "truth"), name, seed)
     made = {"label": "truth", "model": name, "seed": seed, "libraries": learn.libraries(trained)}
-    return learn.document(trained, (seen, target), description, made)
+    return learn.document(trained, seen, description, made)

@@ -57,9 +57,10 @@ def run(args: argparse.Namespace) -> int:
     with Progress("epochs", n_epochs) as progress:
         trained = learn.fit(seen, target, args.student, args.seed, n_epochs, progress.advance)
     made = {
-        "label": f"teacher, with {args.mix_truth:g} of the {args.label}",
+        "label": args.label,
+        "mix_truth": args.mix_truth,
         "teacher_sha256": fields["sha256"],
         "model": args.student,
         "seed": args.seed,
     }
-    return finish(args, trained, (seen, target, description), made)
+    return finish(args, trained, (seen, description), made)

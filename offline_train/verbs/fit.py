@@ -18,7 +18,6 @@ from apex_edge import plugins
 from apex_edge.errors import ApexError
 from apex_edge.triggers import model_file, weights
 from apex_edge.triggers.graph_net import ARCHITECTURES
-from apex_edge.types import Array
 from apex_edge.verbs.progress import Progress
 from offline_train.graph_models import files, paper
 from offline_train.trigger import data, learn
@@ -95,19 +94,19 @@ def _run_data(args: argparse.Namespace) -> int:
     with Progress("epochs", n_epochs) as progress:
         trained = learn.fit(seen, target, args.model, args.seed, n_epochs, progress.advance)
     made = {"label": args.label, "model": args.model, "seed": args.seed}
-    return finish(args, trained, (seen, target, description), made)
+    return finish(args, trained, (seen, description), made)
 
 
 def finish(
     args: argparse.Namespace,
     trained: Trained,
-    source: Tuple[Observed, Array, data.Description],
+    source: Tuple[Observed, data.Description],
     made: Dict[str, Any],
 ) -> int:
     """Write the model file, not yet certified, and print how it does on its own scenes."""
-    seen, target, description = source
+    seen, description = source
     made = dict(made, libraries=learn.libraries(trained))
-    fields_now = learn.document(trained, (seen, target), description, made)
+    fields_now = learn.document(trained, seen, description, made)
     write(fields_now, args.out)
     said = learn.said_by(weights.check(fields_now, str(args.out)), seen)
     found = frame_figures(seen.label.astype(bool), said)

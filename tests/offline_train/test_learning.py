@@ -58,10 +58,9 @@ def test_graphs_hold_whole_frames_and_know_which_row_an_edge_is(seen):
 @pytest.mark.parametrize("name", ["diffgraphormer", "diffgat"])
 def test_the_device_scores_frame_by_frame_what_the_trainer_scores_at_once(seen, name):
     pytest.importorskip("torch_geometric")
-    target = learn.targets(seen, "truth")
-    trained = learn.fit(seen, target, name, seed=1, n_epochs=1)
+    trained = learn.fit(seen, learn.targets(seen, "truth"), name, seed=1, n_epochs=1)
     description = data.describe("tabletop-cv", "train", 3, 80)
-    fields = learn.document(trained, (seen, target), description, {"label": "truth"})
+    fields = learn.document(trained, seen, description, {"label": "truth"})
     model = weights.check(fields, "test")
     said = learn.said_by(model, seen)
     movers = seen.bodies[:, 0]

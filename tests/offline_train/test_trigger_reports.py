@@ -118,6 +118,11 @@ def test_the_commands_of_a_model_can_be_read_off_what_it_records(fields):
         parser = argparse.ArgumentParser()
         verb.add_arguments(parser)
         parser.parse_args(line.split()[2:])
+    fitted["provenance"].update(teacher_sha256="ab", mix_truth=0.5)
+    assert recipe.commands(fitted)[1] == (
+        "apex train distill --teacher TEACHER --student linear12 --mix-truth 0.5 --data train "
+        "--label truth --seed 2 --out fitted.json"
+    )
     wide = dict(fitted, feature_set="wide")
     assert " --horizon 5 --wide --out train" in recipe.commands(wide)[0]
     assert recipe.commands(dict(fields, provenance={"generator": "paper-star"})) == []
