@@ -21,7 +21,12 @@ DOCS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 def all_errors():
     for package in (apex_edge, firmware_bridge, calib, offline_train):
         for info in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-            importlib.import_module(info.name)
+            try:
+                importlib.import_module(info.name)
+            except ModuleNotFoundError as error:
+                # the modules of the graph models are PyTorch's own, and define no error
+                if error.name not in ("torch", "torch_geometric"):
+                    raise
     found, queue = set(), [ApexError]
     while queue:
         kind = queue.pop()

@@ -24,7 +24,9 @@ def test_the_probability_is_that_of_the_weights_on_the_shared_features():
     pairs = pairs_of(now, np.array([[1, 0]]), 1.0 / 30.0)
     logit = trigger.weights.logit(edge_features(pairs, closest(pairs, 5.0), 5.0))[0]
     found = score(trigger, now)
-    assert found.probability[0] == pytest.approx(1.0 / (1.0 + np.exp(-logit)), abs=1e-12)
+    assert found.probability[0] == pytest.approx(
+        trigger.weights.probability(np.array([logit]))[0], abs=1e-12
+    )
     assert not found.is_fallback[0]
 
 
