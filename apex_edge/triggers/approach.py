@@ -7,9 +7,10 @@ path is one straight line with a closed form; only the rows that slow down are c
 Works in any number of dimensions d; the triggers use the table plane, d = 2.
 
 A numpy call on the 49 pairs of a star costs what it costs however few numbers it works on, so the
-straight path is worked out in few calls on whole rows (d, m). Closest approach, features and logit
-of 49 pairs took 480 us with einsum over (m, d) and chords for every row, and take 83 us like this
-(Python 3.7, numpy 1.21, a machine under load).
+straight path is worked out in few calls on whole rows of m. Closest approach, features and logit
+of 49 pairs took 480 us with einsum over (m, d) and chords for every row, and take 70 us like this,
+100 times one product of 50 numbers (Python 3.7, numpy 1.21). Of one pair they take 60 us: almost
+all is the calling.
 """
 
 from dataclasses import dataclass
