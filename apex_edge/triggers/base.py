@@ -8,7 +8,7 @@ filters. Source: APEX section "Trigger"; gate and persistence are ours.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Dict, Optional, Tuple, Union
+from typing import NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from apex_edge.triggers.approach import (
     early_contact,
     first_contact,
 )
+from apex_edge.triggers.vote import Persistence
 from apex_edge.triggers.windows import History, line_pairs
 from apex_edge.types import Array, DifferenceGraph, HazardScores, Tracks
 
@@ -137,8 +138,8 @@ class Trigger(ABC):
         """Score the edges of ``diff.graph``; call once per frame, in order."""
         tracks = diff.graph.tracks
         edges, is_moving = movers_first(tracks, diff.graph.edges, self.config)
-        pairs = pairs_of(tracks, edges, diff.dt_s)
-        table = _Table.at_rest(pairs)
+        known = _Known.of(tracks)
+        table = _Table.at_rest(tracks, edges, known)
         ids = tracks.track_id[edges]
         n_samples = tracks.n_samples
         if self._history is not None:
@@ -147,13 +148,14 @@ class Trigger(ABC):
         moving = np.flatnonzero(is_moving)
         if len(moving):
             some = edges[moving]
+            pairs = _pairs(tracks, some, diff.dt_s, known)
             evidence = weigh(
-                pairs.take(moving),
+                pairs,
                 is_moving[moving],
                 np.min(n_samples[some], axis=1),
                 horizon_s,
                 ids[moving],
-                self._seen_by_windows(some, pairs.radius_m[moving], diff.t_s),
+                self._seen_by_windows(some, pairs.radius_m, diff.t_s),
             )
             table.put_approach(moving, evidence)
             possible = np.flatnonzero(evidence.is_possible)
@@ -199,15 +201,19 @@ class _Table:
     is_fallback: Array
 
     @classmethod
-    def at_rest(cls, pairs: Pairs) -> "_Table":
-        """Start with what holds for pairs of which nothing moves."""
-        n = len(pairs.radius_m)
-        gap = np.sqrt((pairs.offset_m * pairs.offset_m).sum(axis=1))
-        place_var = np.maximum(pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1], 0.0) / N_DIMS
+    def at_rest(cls, tracks: Tracks, edges: Array, known: "_Known") -> "_Table":
+        """Start with what holds for ``edges (m, 2)`` of which nothing moves."""
+        n = len(edges)
+        mover, target = edges[:, 0], edges[:, 1]
+        variance = np.einsum("nii->n", known.cov[:, :N_DIMS, :N_DIMS])
+        radius = known.radius_m
+        offset = tracks.pos_m[target, :N_DIMS] - tracks.pos_m[mover, :N_DIMS]
+        gap = np.sqrt((offset * offset).sum(axis=1))
+        place_var = np.maximum(variance[mover] + variance[target], 0.0) / N_DIMS
         return cls(
             dca_m=gap,
             tca_s=np.zeros(n),
-            ttc_s=np.where(gap <= pairs.radius_m, 0.0, np.inf),
+            ttc_s=np.where(gap <= radius[mover] + radius[target], 0.0, np.inf),
             early_s=np.full(n, np.inf),
             sigma_m=np.sqrt(place_var),
             probability=np.zeros(n),
@@ -228,34 +234,6 @@ class _Table:
         self.probability[rows] = verdict.probability
         self.is_hit[rows] = verdict.is_hit
         self.is_fallback[rows] = verdict.is_fallback
-
-
-class Persistence:
-    """n-of-m vote per pair of tracks; a pair that left the graph starts anew."""
-
-    def __init__(self, n_hits: int, n_frames: int) -> None:
-        self._n_hits = n_hits
-        self._mask = (1 << n_frames) - 1
-        self._history: Dict[Tuple[int, int], int] = {}
-
-    def reset(self) -> None:
-        """Forget all pairs."""
-        self._history = {}
-
-    def update(self, ids: Array, is_hit: Array) -> Array:
-        """Take in one frame, ``ids (m, 2)`` and ``is_hit (m,)``; return who fires (m,)."""
-        is_fired = np.zeros(len(ids), dtype=bool)
-        history: Dict[Tuple[int, int], int] = {}
-        if not self._history and not is_hit.any():
-            return is_fired
-        for row, (first, second) in enumerate(np.sort(ids, axis=1).tolist()):
-            past = self._history.get((first, second), 0)
-            bits = ((past << 1) | int(is_hit[row])) & self._mask
-            if bits:
-                history[(first, second)] = bits
-                is_fired[row] = bin(bits).count("1") >= self._n_hits
-        self._history = history
-        return is_fired
 
 
 def movers_first(tracks: Tracks, edges: Array, config: TriggerConfig) -> Tuple[Array, Array]:
@@ -311,20 +289,39 @@ def weigh(
     )
 
 
+class _Known(NamedTuple):
+    """Per track: ``cov (n, 4, 4)`` of place and velocity in the plane, ``radius_m (n,)``.
+
+    What is unknown is zero, or the radius about the largest of a toy.
+    """
+
+    cov: Array
+    radius_m: Array
+
+    @classmethod
+    def of(cls, tracks: Tracks) -> "_Known":
+        """Take them from tracks."""
+        wanted = np.concatenate([np.arange(N_DIMS), 3 + np.arange(N_DIMS)])
+        cov = tracks.cov[:, wanted[:, None], wanted]
+        cov = np.where(np.all(np.isfinite(cov), axis=(1, 2))[:, None, None], cov, 0.0)
+        is_sized = np.isfinite(tracks.radius_m) & (tracks.radius_m > 0.0)
+        return cls(cov, np.where(is_sized, tracks.radius_m, UNKNOWN_RADIUS_M))
+
+
 def pairs_of(tracks: Tracks, edges: Array, frame_s: Union[float, Array]) -> Pairs:
     """Return the planar pairs (mover, target) of ``edges (m, 2)``; ``frame_s`` is the time
     between frames, scalar or one per track.
 
     Unknown velocity or covariance becomes zero here; the moving gate keeps such pairs silent.
     """
+    return _pairs(tracks, edges, frame_s, _Known.of(tracks))
+
+
+def _pairs(tracks: Tracks, edges: Array, frame_s: Union[float, Array], known: _Known) -> Pairs:
     mover, target = edges[:, 0], edges[:, 1]
     place = tracks.pos_m[:, :N_DIMS]
     velocity = _finite(tracks.vel_m_s[:, :N_DIMS])
-    wanted = np.concatenate([np.arange(N_DIMS), 3 + np.arange(N_DIMS)])
-    cov = tracks.cov[:, wanted[:, None], wanted]
-    cov = np.where(np.all(np.isfinite(cov), axis=(1, 2))[:, None, None], cov, 0.0)
-    is_sized = np.isfinite(tracks.radius_m) & (tracks.radius_m > 0.0)
-    radius = np.where(is_sized, tracks.radius_m, UNKNOWN_RADIUS_M)
+    cov, radius = known.cov, known.radius_m
     decel = proven_decel(
         velocity,
         tracks.acc_m_s2[:, :N_DIMS],

@@ -9,7 +9,8 @@ from trigger_scene import difference, tracks, watch
 from apex_edge import plugins
 from apex_edge.errors import ConfigError
 from apex_edge.triggers.analytic import AnalyticTrigger
-from apex_edge.triggers.base import Persistence, TriggerConfig
+from apex_edge.triggers.base import TriggerConfig
+from apex_edge.triggers.vote import Persistence
 
 BOTH = pytest.mark.parametrize("name", ["analytic", "linear"])
 DT_S = 1.0 / 30.0
@@ -149,6 +150,21 @@ def test_the_vote_counts_n_of_m_per_pair_and_forgets_pairs_that_left():
     assert vote.update(pair, yes)[0]
     assert not vote.update(other, yes)[0]
     assert not vote.update(pair, yes)[0]
+
+
+def test_the_vote_on_a_crowd_is_the_vote_on_each_pair_alone():
+    rng = np.random.default_rng(0)
+    pairs = np.array([(i, j) for i in range(20) for j in range(i)]) + (1 << 31) - 10
+    crowd, alone = Persistence(2, 4), [Persistence(2, 4) for _ in pairs]
+    n_fired = 0
+    for _ in range(12):
+        hits = rng.random(len(pairs)) < 0.2
+        turned = np.where(rng.random(len(pairs))[:, None] < 0.5, pairs, pairs[:, ::-1])
+        fired = crowd.update(turned, hits)
+        each = [vote.update(turned[k : k + 1], hits[k : k + 1])[0] for k, vote in enumerate(alone)]
+        assert fired.tolist() == each
+        n_fired += int(fired.sum())
+    assert 0 < n_fired < 12 * len(pairs)
 
 
 def test_more_noise_makes_the_analytic_rule_more_and_not_less_ready_to_fire():

@@ -135,7 +135,7 @@ def test_too_few_events_are_refused_and_told_what_they_could_prove(seen):
 
 
 def test_the_vote_of_the_trainer_is_that_of_the_device(seen):
-    from apex_edge.triggers.base import Persistence
+    from apex_edge.triggers.vote import Persistence
 
     config, cut = TriggerConfig(), 0.0
     logit = seen.features[:, 6]
