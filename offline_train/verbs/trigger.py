@@ -3,8 +3,7 @@
 The shipped models were made by exactly these commands::
 
     apex train trigger --seed 1 --out apex_edge/data/trigger-linear.json
-    apex train trigger --model linear-wide --seed 1 --out apex_edge/data/trigger-wide.json
-    apex train trigger --model GRAPH --seed 1 --out apex_edge/data/trigger-graph.npz
+    apex train trigger --model diffgraphormer --seed 1 --out apex_edge/data/trigger-graph.npz
 """
 
 import argparse
