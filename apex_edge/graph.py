@@ -21,7 +21,7 @@ from apex_edge.types import (
 
 NOTHING = "nothing on the table is about to meet"
 # A pair less likely than this to touch, and not fired, is not worth a word.
-_SALIENT = 0.02
+_SALIENT = 0.05
 _MAX_NAME = 24
 # Below this (share of the horizon left) the closest approach still lies ahead.
 _STILL_NEARING = 0.999
