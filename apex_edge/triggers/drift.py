@@ -1,9 +1,10 @@
 """Notice that what is seen has left what a model was trained on.
 
 A certificate of recall holds for scenes like those of the training. The ranges of the model's
-domain cover its whole training set, so a pair outside them is next to never chance; but frames of
-one approach are alike, and one odd throw is no drift. The alarm therefore needs a share of the
-pairs judged over a sliding window of capture time, and ends below half that share.
+domain leave out one training value in a thousand at either end, so a pair outside them is seldom
+chance; but frames of one approach are alike, and one odd throw is no drift. The alarm therefore
+needs a share of the pairs judged over a sliding window of capture time, and ends below half that
+share.
 Source: ours.
 """
 

@@ -31,8 +31,9 @@ _DOCUMENT = "document"
 _MAX_ARRAYS = 256
 # Shorter lists stay readable in the JSON part.
 _MIN_PACKED = 32
+_MAX_DIGITS = 20
 _NPY = re.compile(
-    rb"\x93NUMPY\x01\x00(?P<length>..)"
+    rb"\x93NUMPY\x01\x00.."
     rb"\{'descr': '(?P<type><f8|\|u1)', 'fortran_order': False, "
     rb"'shape': \((?P<shape>(?:\d{1,9}, ?)+(?:\d{1,9})?)\), \} *\n",
     re.DOTALL,
@@ -107,7 +108,8 @@ def write(fields: Mapping[str, Any], path: Union[str, Path]) -> None:
 
     Raises
     ------
-    WeightsError : a suffix other than ``.json`` and ``.npz``, or a number that is not finite.
+    WeightsError : a suffix other than ``.json`` and ``.npz``, a number that is not finite, or
+        more than ``MAX_BYTES``.
     RecordingError : the file cannot be written.
     """
     target = Path(path)
@@ -119,7 +121,13 @@ def write(fields: Mapping[str, Any], path: Union[str, Path]) -> None:
     plain["sha256"] = digest(plain)
     if target.suffix not in _FORMS:
         raise WeightsError(f"{target}: a model file ends in .json or .npz")
-    write_whole_bytes(target, _FORMS[target.suffix](plain))
+    data = _FORMS[target.suffix](plain)
+    if len(data) > MAX_BYTES:
+        raise WeightsError(
+            f"{target}: {len(data)} bytes, more than the {MAX_BYTES} that are read again; "
+            "a .npz takes a third of a .json"
+        )
+    write_whole_bytes(target, data)
 
 
 def as_json(fields: Mapping[str, Any]) -> bytes:
@@ -162,11 +170,19 @@ def _parsed(suffix: str, data: bytes) -> Any:
 
 
 def _from_json(data: bytes) -> Any:
-    return json.loads(data.decode("utf-8"), parse_constant=_refuse_constant)
+    text = data.decode("utf-8")
+    return json.loads(text, parse_constant=_refuse_constant, parse_int=_short_int)
 
 
 def _refuse_constant(name: str) -> float:
     raise ValueError(f"{name} is not a number the format allows")
+
+
+def _short_int(digits: str) -> int:
+    # Time to parse grows with the square of the length, and Python before 3.11 sets no limit.
+    if len(digits) > _MAX_DIGITS:
+        raise ValueError(f"a whole number of {len(digits)} digits is none the format allows")
+    return int(digits)
 
 
 def _taken_out(value: Any, name: str, arrays: Dict[str, Array]) -> Any:
@@ -237,6 +253,9 @@ def _array(data: bytes, name: str) -> Array:
             "pickled objects and other types are refused"
         )
     shape = tuple(int(part) for part in head.group("shape").split(b",") if part.strip())
+    if 0 in shape:
+        # It has no bytes, and as lists (1000000000, 0) would still fill the memory.
+        raise WeightsError(f"{name!r} has shape {shape}: empty arrays are refused")
     kind = np.dtype(head.group("type").decode("ascii"))
     body = data[head.end() :]
     if _count(shape) * kind.itemsize != len(body):

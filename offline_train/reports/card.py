@@ -166,9 +166,10 @@ def _certificate(fields: Mapping[str, Any]) -> str:
         f"{_th(promise['k'])} smallest of {promise['n_pos']} scores, one per event of scenes that "
         f"the fit has not seen.{late}\n\n"
         "The promise needs no assumption on how scores are distributed, but it is one on the "
-        "whole procedure: of twenty such files, one may fall short. It is void where objects, "
-        "people or noise differ from the scenes it was certified on; certify anew on recordings "
-        f"of your own table then. It holds under this gate and vote only: {gate}."
+        f"whole procedure: of {1.0 / (1.0 - promise['confidence']):.0f} such files, one may fall "
+        "short. It is void where objects, people or noise differ from the scenes it was certified "
+        "on; certify anew on recordings of your own table then. It holds under this gate and vote "
+        f"only: {gate}."
     )
 
 

@@ -39,6 +39,7 @@ def commands(fields: Mapping[str, Any]) -> List[str]:
 def _generate(drawn: Mapping[str, Any], purpose: str, fields: Mapping[str, Any]) -> str:
     flags = [" --only-contacts"] if drawn.get("only_contacts") else []
     flags += [" --wide"] if fields["feature_set"] == WIDE_SET else []
+    flags += [f" --soft {drawn['n_rollouts']}"] if "n_rollouts" in drawn else []
     noise_mm = [1000.0 * sd for sd in fields["noise_model"]["sd_m"]]
     return (
         f"apex train generate --scenario {drawn['scenario']} --scenes {drawn['n_scenes']} "

@@ -279,11 +279,17 @@ def _is_thrown_off(followed: Followed, path: Array) -> Array:
 
 
 def _steps(followed: Followed, path: Array) -> Tuple[Array, Array]:
-    """Return the ways (f, 2) of the 0.3 s before and after each frame."""
+    """Return the ways (f, 2) of the 0.3 s before and after each frame, else NaN.
+
+    Where the recording has not the whole of it, a way cut short would pass for a change of speed.
+    """
     times = np.array(followed.t_s)
-    ahead = np.minimum(np.searchsorted(times, times + _ABOUT_S), len(times) - 1)
-    behind = np.maximum(np.searchsorted(times, times - _ABOUT_S), 0)
-    return path - path[behind], path[ahead] - path
+    behind, ahead = (np.searchsorted(times, times + step) for step in (-_ABOUT_S, _ABOUT_S))
+    before = path - path[behind]
+    after = path[np.minimum(ahead, len(times) - 1)] - path
+    before[times - _ABOUT_S < times[0]] = np.nan
+    after[ahead == len(times)] = np.nan
+    return before, after
 
 
 def _length(vectors: Array) -> Array:

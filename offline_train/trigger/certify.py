@@ -54,7 +54,8 @@ def certify(
         )
     threshold = calibrate(seen, score, config, promise)
     if abs(threshold.logit) >= RULE_SURE:
-        n_rule = int(np.sum(np.abs(event_scores(seen, score, config, promise.lead_s)) >= RULE_SURE))
+        size = np.abs(event_scores(seen, score, config, promise.lead_s))
+        n_rule = int(np.sum((size >= RULE_SURE) & np.isfinite(size)))
         raise TooFewEventsError(
             f"{n_rule} of {n_events} events are outside the model's domain, where the k-sigma rule "
             "decides: no threshold can be certified; train a model for this rig"

@@ -6,13 +6,10 @@ and the linear one can label data for a graph model. Source: ours; the paper nam
 and not how one could become the other.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from apex_edge.errors import ApexError
 from apex_edge.types import Array
-from offline_train.graph_models.batches import Graphs
 
 
 def soft_target(teacher: Array, truth: Array, mix_truth: float) -> Array:
@@ -42,15 +39,3 @@ def probability(logit: Array) -> Array:
     """Return the probability (r,) of logits (r,)."""
     said: Array = 0.5 * (1.0 + np.tanh(0.5 * logit))
     return said
-
-
-def pseudo_labelled(graphs: Graphs, target: Array) -> Graphs:
-    """Return the graphs with what a teacher says of each edge (R,) as their soft labels.
-
-    Raises
-    ------
-    ApexError : not one target per edge.
-    """
-    if target.shape != graphs.labels.shape:
-        raise ApexError(f"{len(target)} targets for {len(graphs.labels)} edges")
-    return replace(graphs, labels=target)

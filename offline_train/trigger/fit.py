@@ -18,9 +18,9 @@ ROWS_PER_PAIR = 12
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A fitted model: logit = ((clip(x) - mean) / scale) @ weight + bias; arrays (12,).
+    """A fitted model: logit = ((clip(x) - mean) / scale) @ weight + bias; arrays (k,).
 
-    ``low``, ``high (12,)`` are the training ranges before clipping.
+    ``low``, ``high (k,)`` are the training ranges before clipping.
     """
 
     clip_lo: Array
@@ -33,12 +33,12 @@ class LinearFit:
     high: Array
 
     def standardise(self, features: Array) -> Array:
-        """Return clipped and scaled features (m, 12)."""
+        """Return clipped and scaled features (m, k)."""
         result: Array = (np.clip(features, self.clip_lo, self.clip_hi) - self.mean) / self.scale
         return result
 
     def logit(self, features: Array) -> Array:
-        """Return the logit (m,) of features (m, 12)."""
+        """Return the logit (m,) of features (m, k)."""
         result: Array = self.standardise(features) @ self.weight + self.bias
         return result
 

@@ -208,13 +208,16 @@ def document(
     WeightsError : the device would not build this model.
     """
     radius = seen.geometry.radius_m
+    drawn = {k: v for k, v in asdict(description).items() if k != "watching"}
+    if description.watching is not None and description.watching.n_rollouts:
+        drawn["n_rollouts"] = description.watching.n_rollouts
     notes = {
         "radius_m": [float(radius.min()), float(radius.max())],
         "watching": description.watching,
         "provenance": {
             "generator": description.scenario,
             "generator_version": description.version,
-            "data": {k: v for k, v in asdict(description).items() if k != "watching"},
+            "data": drawn,
             **made,
         },
         "metrics": {},

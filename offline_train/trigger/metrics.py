@@ -38,11 +38,11 @@ def frame_figures(label: Array, score: Array) -> Dict[str, Optional[float]]:
 
     None where the labels are all alike: nothing can be said then.
     """
-    counts = sweep(label, score)
     n_positive, n_negative = int(np.sum(label)), int(np.sum(~label))
     names = ["pr_auc", "roc_auc"] + [f"fpr_at_recall_{recall:.2f}" for recall in RECALLS]
     if not n_positive or not n_negative:
         return dict.fromkeys(names)
+    counts = sweep(label, score)
     recall = counts.n_true / n_positive
     fpr = counts.n_false / n_negative
     precision = counts.n_true / (counts.n_true + counts.n_false)

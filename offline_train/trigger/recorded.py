@@ -32,6 +32,7 @@ from offline_train.trigger.observe import Observed, Watching, join
 # A younger track is left to the k-sigma rule by every model so far.
 _MIN_SAMPLES = Watching.window[0]
 _CLEAR = 1.25
+_ABOUT_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -129,15 +130,17 @@ def _table(
     n, n_frames = len(pairs), len(followed.t_s)
     time = np.arange(n_frames) * frame_s
     is_old = np.array([_is_old(followed, pair, n_frames) for pair in pairs])
-    is_judged = is_old & (time < contact_s[:, None])
+    left_s = contact_s[:, None] - time
+    is_known = (left_s <= rig.horizon_s) | (time + rig.horizon_s <= time[-1])
+    is_judged = is_old & is_known & (left_s > 0.0)
     is_clear = is_judged & np.array(
-        [_is_clear(followed, pair, rig.config.trigger) for pair in pairs]
+        [
+            _is_clear(followed, pair, rig.config.trigger, left > _ABOUT_S)
+            for pair, left in zip(pairs, left_s)
+        ]
     )
     rows = _rows(followed, pairs)
-    left_s = contact_s[rows.pair] - time[rows.frame]
-    ends_late = time[rows.frame] + rig.horizon_s > time[-1]
-    is_known = (left_s <= rig.horizon_s) | ~ends_late
-    keep = is_judged[rows.pair, rows.frame] & is_known
+    keep = is_judged[rows.pair, rows.frame]
     centres = [pair[0] for pair in pairs]
     scene = np.unique(centres, return_inverse=True)[1]
     body = np.array([1 + centres[:i].count(centres[i]) for i in range(n)])
@@ -149,7 +152,7 @@ def _table(
             pair=rows.pair[keep],
             frame=rows.frame[keep],
             centre_moves=rows.centre_moves[keep],
-            label=left_s[keep] <= rig.horizon_s,
+            label=left_s[rows.pair[keep], rows.frame[keep]] <= rig.horizon_s,
             soft=np.full(int(keep.sum()), np.nan),
             scene=scene,
             body=body,
@@ -174,11 +177,14 @@ def _is_old(followed: Followed, pair: Tuple[int, int], n_frames: int) -> Array:
     return old
 
 
-def _is_clear(followed: Followed, pair: Tuple[int, int], config: TriggerConfig) -> Array:
+def _is_clear(
+    followed: Followed, pair: Tuple[int, int], config: TriggerConfig, is_before: Array
+) -> Array:
     """Say in which frames (f,) the faster of the two moves faster than the gate by a quarter.
 
     The speed is that of the seen places half a second apart, so it owes nothing to the motion fit
-    that the gate itself looks at.
+    that the gate itself looks at. Which is the faster shows in the frames ``is_before (f,)`` the
+    contact: after it, what was struck may run ahead of what struck it.
     """
     times = np.array(followed.t_s)
     best, best_peak = np.zeros(len(times), dtype=bool), -1.0
@@ -188,12 +194,13 @@ def _is_clear(followed: Followed, pair: Tuple[int, int], config: TriggerConfig) 
         places = np.array([followed.place[track][frame] for frame in seen.tolist()])
         for frame, sd in followed.speed_sd[track].items():
             gate[frame] = max(config.min_speed_m_s, config.min_speed_sd * sd)
-        first = np.searchsorted(times[seen], times[seen] - 0.25)
-        last = np.minimum(np.searchsorted(times[seen], times[seen] + 0.25), len(seen) - 1)
+        first = np.searchsorted(times[seen], times[seen] - _ABOUT_S)
+        last = np.minimum(np.searchsorted(times[seen], times[seen] + _ABOUT_S), len(seen) - 1)
         span = np.maximum(times[seen][last] - times[seen][first], 1e-3)
         speed[seen] = np.linalg.norm(places[last] - places[first], axis=1) / span
-        if speed.max() > best_peak:
-            best, best_peak = speed > _CLEAR * gate, float(speed.max())
+        peak = float(np.max(speed[is_before], initial=0.0))
+        if peak > best_peak:
+            best, best_peak = speed > _CLEAR * gate, peak
     return best
 
 

@@ -152,6 +152,25 @@ def test_what_cannot_be_written_is_refused_and_leaves_no_file(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_array_without_bytes_is_refused_before_its_rows_fill_the_memory(tmp_path):
+    damage = damages.OF_NPZ["an empty array of many rows"]
+    with pytest.raises(WeightsError, match="empty arrays are refused"):
+        load_bytes(tmp_path, damage(model_file.as_npz(DOCUMENTS["graph"])), ".npz")
+
+
+def test_a_whole_number_of_many_digits_is_refused_before_it_is_parsed(tmp_path):
+    text = json.dumps(dict(SHIPPED, dims="DIGITS")).replace('"DIGITS"', "9" * 3000)
+    with pytest.raises(WeightsError, match="3000 digits"):
+        load_bytes(tmp_path, text.encode("ascii"), ".json")
+
+
+def test_a_file_too_large_to_be_read_again_is_not_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(model_file, "MAX_BYTES", len(model_file.as_json(SHIPPED)) - 1)
+    with pytest.raises(WeightsError, match="read again"):
+        model_file.write(SHIPPED, tmp_path / "m.json")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(WeightsError, match=re.escape("nowhere.json")):
         LinearTrigger(weights_path=tmp_path / "nowhere.json")

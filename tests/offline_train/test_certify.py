@@ -73,6 +73,14 @@ def test_rows_of_another_horizon_are_refused(seen):
         scoring.scorer(dict(SHIPPED, horizon_s=3.0))(seen)
 
 
+def test_events_that_nothing_ever_scores_are_not_called_outside_the_domain(seen):
+    fields = dict(SHIPPED, domain=dict(SHIPPED["domain"], radius_m=[9.0, 9.5]))
+    events = np.flatnonzero(calibrate.is_eligible(seen, PROMISE.lead_s))
+    some = seen.take(~np.isin(seen.pair, events[:3]))
+    with pytest.raises(calibrate.TooFewEventsError, match=f"^{len(events) - 3} of {len(events)} "):
+        certify.certify(fields, some, calibrate.Promise(alpha=0.5), {})
+
+
 def test_the_events_needed_are_the_published_numbers():
     for alpha, needed in ((0.01, 299), (0.02, 149), (0.05, 59), (0.1, 29)):
         assert certify.events_needed(calibrate.Promise(alpha=alpha)) == needed

@@ -72,6 +72,16 @@ def test_the_device_scores_frame_by_frame_what_the_trainer_scores_at_once(seen, 
         assert model.probability(logit) == pytest.approx(said[rows], abs=1e-12)
 
 
+def test_a_document_says_how_many_roll_outs_made_its_soft_labels(seen):
+    trained = learn.fit(seen, learn.targets(seen, "truth"), learn.LINEAR, seed=1)
+    told = []
+    for n_rollouts in (0, 8):
+        about = data.describe("tabletop-cv", "train", 3, 80, Watching(n_rollouts=n_rollouts))
+        made = learn.document(trained, seen, about, {"label": "soft"})
+        told.append(made["provenance"]["data"].get("n_rollouts"))
+    assert told == [None, 8]
+
+
 def test_labels_that_the_scenes_do_not_have_are_refused(seen):
     with pytest.raises(ApexError, match="never 0.75"):
         learn.targets(seen, "paper-risk")

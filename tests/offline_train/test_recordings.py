@@ -99,14 +99,18 @@ def test_a_recording_ends_where_the_arm_first_moves():
     assert following is not None and following.is_moving
 
 
-def test_the_rows_are_what_the_device_judges():
+def test_the_rows_are_what_the_device_judges(tmp_path):
     world = TwinWorld(make("collision", 300))
     pictures = list(frames(world, FROM_S))
     followed = recordings.follow(pictures, RIG.config, RIG.horizon_s)
     rows = recorded.observed(followed, RIG)
-    fields = model_file.read(weights.SHIPPED)
+    # Without chances a probability says which logit it was; level ones would hide a difference.
+    shipped = model_file.read(weights.SHIPPED)
+    fields = {key: value for key, value in shipped.items() if key != "chances"}
+    model_file.write(fields, tmp_path / "plain.json")
     chance = 1.0 / (1.0 + np.exp(-scoring.scorer(fields)(rows)))
-    perception, trigger = Perception(RIG.config.perception, ColourTable.builtin()), LinearTrigger()
+    perception = Perception(RIG.config.perception, ColourTable.builtin())
+    trigger = LinearTrigger(weights_path=tmp_path / "plain.json")
     older, said, number = None, {}, -1
     for picture in pictures:
         _, tracks = perception.step(picture)
@@ -124,6 +128,53 @@ def test_the_rows_are_what_the_device_judges():
     for frame, value in zip(rows.frame.tolist(), chance.tolist()):
         n_same += any(abs(value - other) < 1e-9 for other in said.get(frame, []))
     assert n_same > 15 and n_same >= 0.9 * len(chance)
+
+
+def followed_by_hand(places):
+    """Return two tracks, 30 mm and 20 mm wide, at places {id: (f, 2)} at 20 Hz."""
+    followed = recordings.Followed("by hand")
+    followed.t_s = [0.05 * frame for frame in range(len(places[1]))]
+    for track, path in places.items():
+        followed.name[track] = {1: "red", 2: "green ball"}[track]
+        followed.place[track] = dict(enumerate(path))
+        followed.radius_m[track] = [{1: 0.015, 2: 0.01}[track]] * len(path)
+        followed.speed_sd[track] = dict.fromkeys(range(len(path)), 0.001)
+        followed.n_samples[track] = dict.fromkeys(range(len(path)), 20)
+    return followed
+
+
+def along_x(x_m, y_m=0.0):
+    return np.column_stack([x_m, np.full(len(x_m), y_m)])
+
+
+def test_a_way_cut_short_by_either_end_is_no_change_of_speed():
+    red = along_x(np.zeros(60))
+    # Past at 1.1 times the reach (29 mm), at constant speed, the nearest at one end.
+    leaving = 0.1 * 0.05 * np.arange(60)
+    for x_m in (leaving, leaving[::-1]):
+        followed = followed_by_hand({1: red, 2: along_x(x_m, 0.032)})
+        assert recordings.contact_times(followed, [(1, 2)]).tolist() == [np.inf]
+
+
+def test_what_is_struck_and_runs_ahead_was_not_the_mover():
+    t_s = 0.05 * np.arange(80)
+    hit_s = 3.0
+    ball = along_x(np.where(t_s < hit_s, -0.03 - 0.1 * (hit_s - t_s), -0.03))
+    red = along_x(0.3 * np.maximum(t_s - hit_s, 0.0))
+    rows = recorded.observed(
+        followed_by_hand({1: red, 2: ball}),
+        RIG,
+        [recordings.Contact(("red", "green ball"), hit_s)],
+    )
+    assert np.flatnonzero(rows.is_clear[0]).tolist() == list(range(60))
+    assert calibrate.is_eligible(rows, 1.0).tolist() == [True]
+
+
+def test_frames_of_which_nobody_saw_what_came_are_not_judged(near_miss):
+    rows = recorded.observed(near_miss, RIG)
+    time = np.arange(rows.is_judged.shape[1]) * rows.frame_s[0]
+    is_known = time + RIG.horizon_s <= time[-1]
+    assert rows.is_judged[:, is_known].any() and not rows.is_judged[:, ~is_known].any()
 
 
 def command(home, out, *more):

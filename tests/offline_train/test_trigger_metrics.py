@@ -61,6 +61,11 @@ def test_labels_that_are_all_alike_give_no_figure_rather_than_a_wrong_one():
     assert set(found.values()) == {None}
 
 
+def test_without_any_frame_there_is_no_figure():
+    found = metrics.frame_figures(np.zeros(0, dtype=bool), np.zeros(0))
+    assert found and all(value is None for value in found.values())
+
+
 def test_the_calibration_error_by_hand():
     # two bins: .1 said of four, one came; .9 said of two, both came
     said = np.array([0.1, 0.1, 0.1, 0.1, 0.9, 0.9])

@@ -126,6 +126,15 @@ def test_the_commands_of_a_model_can_be_read_off_what_it_records(fields):
     wide = dict(fitted, feature_set="wide")
     assert " --horizon 5 --wide --out train" in recipe.commands(wide)[0]
     assert recipe.commands(dict(fields, provenance={"generator": "paper-star"})) == []
+    drawn["n_rollouts"] = 32
+    soft, _, plain, _ = recipe.commands(fitted)
+    assert " --horizon 5 --soft 32 --out train" in soft and "--soft" not in plain
+
+
+def test_the_card_says_how_many_files_may_fall_short_at_its_own_confidence(fields, tested):
+    for confidence, text in ((0.95, "of 20 such files"), (0.99, "of 100 such files")):
+        sure = dict(fields, threshold=dict(fields["threshold"], confidence=confidence))
+        assert text in card.card(sure, "x", [tested])["x.md"]
 
 
 def test_a_file_without_a_threshold_is_said_to_promise_nothing(fields, tested):

@@ -51,7 +51,7 @@ def measure(seed: int) -> List[Line]:
     scores = event_scores(contacts, device_scorer(fields)(contacts), config, promise["lead_s"])
     n_contacts = int(is_watched(contacts, promise["lead_s"]).sum())
     lines = _promise(scores, n_contacts, promise)
-    lines += _resampled(scores, np.random.default_rng([seed, 77]))
+    lines += _resampled(scores, seeds.rng("bench", seed, 1))
     return lines + _calibration(fields, seed) + _drift(fields, seed)
 
 
@@ -113,7 +113,7 @@ def _calibration(fields: Dict[str, Any], seed: int) -> List[Line]:
         chances.append(model.probability(score(kept)))
         labels.append(kept.label)
     chance, label = np.concatenate(chances), np.concatenate(labels)
-    random = np.random.default_rng([seed, 78])
+    random = seeds.rng("bench", seed, 5)
     perfect = [calibration_error(random.random(len(chance)) < chance, chance) for _ in range(20)]
     return [
         at_most(

@@ -68,7 +68,10 @@ OF_ANY: Dict[str, Tuple[Callable[[Fields], None], str]] = {
     "a horizon of zero": (changed(["horizon_s"], 0.0), "horizon_s"),
     "a window of half a frame": (changed(["windows"], [0.5, 20]), "windows"),
     "no windows": (changed(["windows"], []), "empty"),
-    "a threshold too large for a float": (changed(["threshold", "logit"], 10**400), "too large"),
+    "a threshold too large for a float": (
+        changed(["threshold", "logit"], 10**400),
+        "too large|401 digits",
+    ),
     "a threshold that is text": (changed(["threshold", "logit"], "0"), "threshold.logit"),
     "a certificate without its events": (without(["threshold", "n_pos"]), "n_pos"),
     "no threshold yet": (changed(["threshold"], None), "apex train calibrate"),
@@ -236,6 +239,9 @@ OF_NPZ: Dict[str, Callable[[bytes], bytes]] = {
     "an array cut short": _with_entry(lambda content: content[:-8]),
     "an array of a huge shape": _with_entry(
         lambda content: content.replace(b"'shape': (", b"'shape': (9999999, ")
+    ),
+    "an empty array of many rows": _with_entry(
+        lambda _: _npy(np.zeros((0, 0))).replace(b"(0, 0), }", b"(9999999, 0), }")
     ),
     "an array nobody knows": _with_entry(lambda _: _npy(np.zeros(3)), "extra.npy"),
     "a file that is no array": _with_entry(lambda _: b"import os", "setup.py"),
