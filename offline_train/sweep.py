@@ -139,7 +139,9 @@ def _open(plan: Plan, sampler: Any = None) -> Any:
             load_if_exists=True,
         )
     except (sql_error, optuna.exceptions.StorageInternalError, ImportError) as error:
-        raise JobError(f"{plan.storage}: cannot use this data base: {error}") from error
+        # no more than the end of the URL: what stands before it may hold a password
+        where = plan.storage.rpartition("@")[2]
+        raise JobError(f"{where}: cannot use this data base: {error}") from error
 
 
 def _fail_stale(study: Any) -> None:

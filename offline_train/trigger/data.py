@@ -300,6 +300,11 @@ def _expect(folder: Union[str, Path], kind: str, purpose: Optional[str]) -> Desc
             f"{folder}: drawn for {description.purpose}, expected {purpose}; what is learnt, "
             "certified and tested on the same scenes proves nothing"
         )
+    if description.only_contacts and purpose in ("train", "test"):
+        raise DataError(
+            f"{folder}: holds only scenes that end in contact; neither a probability nor false "
+            "alarms can be learnt or counted on them"
+        )
     return description
 
 

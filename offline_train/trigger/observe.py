@@ -267,8 +267,8 @@ def _take(table: Any, keep: Array) -> Any:
 def _is_clear(truth: Truth, other: int, sensing: Sensing, config: TriggerConfig) -> Array:
     """Say in which frames (s, f) the body that brings the contact is faster than the gate by 1/4.
 
-    That body is the one with the higher peak speed: a target that creeps before the hand has
-    started says nothing of the hand.
+    That body is the one with the higher peak speed before contact: a target that creeps before the
+    hand has started says nothing of the hand, and one that is struck runs off as fast.
     """
     speed_sd = estimate.moving_speed_sd(sensing)
     gate = np.maximum(config.min_speed_m_s, config.min_speed_sd * speed_sd)
@@ -276,7 +276,10 @@ def _is_clear(truth: Truth, other: int, sensing: Sensing, config: TriggerConfig)
         np.linalg.norm(np.gradient(body, axis=1), axis=2) / truth.frame_s[:, None]
         for body in (truth.other_m[:, other], truth.centre_m)
     ]
-    is_mover = speeds[0].max(axis=1) >= speeds[1].max(axis=1)
+    time = np.arange(speeds[0].shape[1]) * truth.frame_s[:, None]
+    is_before = time < truth.contact_s[:, other, None]
+    peaks = [np.where(is_before, speed, 0.0).max(axis=1) for speed in speeds]
+    is_mover = peaks[0] >= peaks[1]
     clear: Array = np.where(is_mover[:, None], speeds[0], speeds[1]) > 1.25 * gate[:, None]
     return clear
 

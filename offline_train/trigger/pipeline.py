@@ -1,9 +1,10 @@
 """Train one trigger from a seed: draw, fit, certify, test. The single steps, one after another."""
 
 from dataclasses import dataclass
-from typing import Any, Callable, Dict
+from typing import Any, Callable, Dict, Tuple
 
 from offline_train.reports import evaluation, sources
+from offline_train.reports.card import Tested
 from offline_train.scenes import tabletop_pairs
 from offline_train.trigger import data, learn
 from offline_train.trigger.calibrate import Promise
@@ -27,8 +28,8 @@ def train(
     sizes: Sizes,
     promise: Promise,
     say: Callable[[str], None] = lambda text: None,
-) -> Dict[str, Any]:
-    """Return the fields of a model document, trained, certified and tested on scenes of its own.
+) -> Tuple[Dict[str, Any], Tested]:
+    """Train, certify and test on scenes of its own; return the model document and its test.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def train(
     )
     model = evaluation.Model(fields, device_scorer(fields))
     tested = evaluation.examine(held, {name: model}, sources.ceiling_inputs)
-    return evaluation.finished(fields, [tested])
+    return evaluation.finished(fields, [tested]), tested
 
 
 def _fitted(seen: Observed, description: data.Description, name: str, seed: int) -> Dict[str, Any]:

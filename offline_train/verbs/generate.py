@@ -7,7 +7,7 @@ bytes are the same. Source: ours.
 import argparse
 import json
 from pathlib import Path
-from typing import Any, Dict, Optional, Tuple
+from typing import Any, Callable, Dict, Optional, Tuple
 
 from apex_edge import plugins
 from apex_edge.errors import ApexError
@@ -27,12 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, required=True, help="same seed, same bytes")
     parser.add_argument("--purpose", required=True, choices=data.STORED_PURPOSES)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="data folder")
-    for name, what in (
-        ("noise-mm", "sd of a position per axis, mm (0.5:3)"),
-        ("fps", "frames per second (20:30)"),
-        ("window", "frames of the motion fit (5:20)"),
+    for name, kind, what in (
+        ("noise-mm", float, "sd of a position per axis, mm (0.5:3)"),
+        ("fps", float, "frames per second (20:30)"),
+        ("window", int, "frames of the motion fit (5:20)"),
     ):
-        parser.add_argument(f"--{name}", type=_range, metavar="LO[:HI]", help=what)
+        parser.add_argument(f"--{name}", type=_range_of(kind), metavar="LO[:HI]", help=what)
     parser.add_argument("--frames", type=int, help=f"frames watched ({_USUAL.n_frames})")
     parser.add_argument("--horizon", type=float, help=f"s, of the label ({_USUAL.horizon_s:g})")
     parser.add_argument(
@@ -80,7 +80,7 @@ def _watching(args: argparse.Namespace) -> Optional[Watching]:
     given: Dict[str, Any] = {
         "noise_m": args.noise_mm and tuple(0.001 * mm for mm in args.noise_mm),
         "fps": args.fps,
-        "window": args.window and tuple(int(width) for width in args.window),
+        "window": args.window,
         "n_frames": args.frames,
         "horizon_s": args.horizon,
         "is_wide": args.wide or None,
@@ -90,9 +90,12 @@ def _watching(args: argparse.Namespace) -> Optional[Watching]:
     return Watching(**chosen) if chosen else None
 
 
-def _range(text: str) -> Tuple[float, float]:
-    low, _, high = text.partition(":")
-    try:
-        return float(low), float(high or low)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected LO or LO:HI") from error
+def _range_of(kind: Callable[[str], Any]) -> Callable[[str], Tuple[Any, Any]]:
+    def read(text: str) -> Tuple[Any, Any]:
+        low, _, high = text.partition(":")
+        try:
+            return kind(low), kind(high or low)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(f"{text!r}: expected LO or LO:HI") from error
+
+    return read

@@ -2,8 +2,9 @@
 
 The shipped models were made by exactly these commands::
 
-    apex train trigger --seed 1 --out apex_edge/data/trigger-linear.json
-    apex train trigger --model diffgraphormer --seed 1 --out apex_edge/data/trigger-graph.npz
+    apex train trigger --seed 1 --out apex_edge/data/trigger-linear.json --card docs/models
+    apex train trigger --model diffgraphormer --seed 1 --out apex_edge/data/trigger-graph.npz \\
+        --card docs/models
 """
 
 import argparse
@@ -14,6 +15,7 @@ from typing import Any, Dict, Tuple
 
 from apex_edge import plugins
 from apex_edge.errors import ApexError
+from offline_train.reports import card
 from offline_train.reports.tables import number
 from offline_train.trigger.calibrate import Promise
 from offline_train.trigger.export import write
@@ -34,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scale", type=float, default=1.0, help="scenes, as a multiple of the usual number"
     )
+    parser.add_argument("--card", type=Path, help="folder for the model card and its plots")
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
@@ -49,8 +52,11 @@ def run(args: argparse.Namespace) -> int:
     sizes = Sizes(
         *(max(1, int(args.scale * n)) for n in (usual.train, usual.calibration, usual.test))
     )
-    fields = train(args.model, args.seed, sizes, Promise(alpha=args.alpha), _progress)
+    fields, tested = train(args.model, args.seed, sizes, Promise(alpha=args.alpha), _progress)
+    files = card.card(fields, args.out.stem, [tested]) if args.card is not None else {}
     write(fields, args.out)
+    if args.card is not None:
+        card.write(files, args.card)
     print(json.dumps(fields["metrics"], sort_keys=True) if args.json else _report(fields, args.out))
     return 0
 

@@ -227,3 +227,11 @@ def test_scenes_with_soft_labels_keep_the_rows_that_have_one_and_are_for_learnin
     assert np.abs(seen.soft - seen.label).mean() < 0.4
     with pytest.raises(data.DataError, match="soft labels are for scenes to learn from"):
         data.describe("tabletop-pairs", "test", 1, 20, watching)
+
+
+@pytest.mark.parametrize("purpose", ["train", "test"])
+def test_scenes_picked_by_their_contact_neither_teach_nor_test(tmp_path, purpose):
+    picked = data.describe("tabletop-pairs", purpose, 1, 20, SMALL, only_contacts=True)
+    data.write(picked, tmp_path / "d", is_quiet=True)
+    with pytest.raises(data.DataError, match="only scenes that end in contact"):
+        data.read(tmp_path / "d", purpose)

@@ -65,6 +65,9 @@ def measure(seed: int) -> List[Line]:
         cost_us = cpu_us(lambda d=diff: trigger.score(d, HORIZON_S), _SHORT_BLOCK)
         lines.append(note(SUITE, what, cost_us, "{:.0f}"))
     lines.append(_graph_line(generator))
+    row, other = generator.normal(size=(2, OBJECTS[-1]))
+    what = f"yardstick: one product of two rows of {OBJECTS[-1]}, us"
+    lines.append(note(SUITE, what, cpu_us(lambda: row * other), "{:.2f}"))
     return lines
 
 
