@@ -6,6 +6,8 @@ from typing import Tuple
 from apex_edge.triggers.graph_net import GAT, GCN, GRAPHORMER, GraphSpec
 
 HIDDEN = 32
+# On the table half the width is as good (PR .767 of .771, fewer false alarms) at half the size.
+HIDDEN_SLIM = 16
 HEADS = 4
 _ACTIVATION = {GRAPHORMER: "none", GAT: "elu", GCN: "relu"}
 
@@ -46,4 +48,4 @@ def full_spec(
     spec = paper_spec(architecture, node_names, edge_names, is_edge_dim=True)
     if architecture != GRAPHORMER:
         return spec
-    return dataclasses.replace(spec, activation="relu", head="concat")
+    return dataclasses.replace(spec, hidden=HIDDEN_SLIM, activation="relu", head="concat")

@@ -11,12 +11,12 @@ from typing import Callable, List
 
 import numpy as np
 
+from apex_edge.triggers import weights
 from apex_edge.triggers.approach import Pairs, closest
 from apex_edge.triggers.features import FEATURE_NAMES as EDGE_NAMES
 from apex_edge.triggers.features import edge_features
-from apex_edge.triggers.graph_net import GraphNet, GraphSpec, layer_shapes
 from apex_edge.triggers.linear import LinearTrigger
-from apex_edge.triggers.stars import NODE_NAMES, stars
+from apex_edge.triggers.stars import stars
 from apex_edge.triggers.wide import wide_features
 from offline_train.benchmarks.lines import Line, at_most, note
 from offline_train.benchmarks.trigger import plain_pairs
@@ -72,10 +72,8 @@ def measure(seed: int) -> List[Line]:
 
 
 def _graph_line(generator: np.random.Generator) -> Line:
-    """Return what a net of the usual size takes for one star; its weights do not matter."""
-    spec = GraphSpec("diffgraphormer", 32, 4, "relu", "sum", "full", False, NODE_NAMES, EDGE_NAMES)
-    shapes = layer_shapes(spec)
-    net = GraphNet(spec, {name: generator.normal(size=shapes[name]) for name in sorted(shapes)})
+    """Return what the shipped net takes for one star, nodes and features at hand."""
+    net = weights.load_graph(weights.SHIPPED_GRAPH).net
     pairs = random_pairs(generator, GRAPH_OBJECTS - 1)
     found = stars(pairs, np.zeros(GRAPH_OBJECTS - 1, dtype=np.int64))
     features = generator.normal(size=(GRAPH_OBJECTS - 1, len(EDGE_NAMES)))
