@@ -196,7 +196,8 @@ def test_a_task_computes_on_one_thread_and_the_setting_is_put_back(tmp_path):
     assert os.environ.get("OMP_NUM_THREADS") == before
 
 
-def test_a_missing_package_ends_the_run_and_is_no_items_fault(tmp_path):
+def test_a_missing_package_ends_the_run_and_is_no_items_fault(tmp_path, monkeypatch):
+    monkeypatch.setitem(extras.EXTRA_OF, "no_such_package", "graph")
     with pytest.raises(MissingExtraError, match=r"apex-edge\[graph\]"):
         run(needy, [1, 2], tmp_path)
     assert not (tmp_path / shards.FAILED).exists()
