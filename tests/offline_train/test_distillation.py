@@ -92,7 +92,7 @@ def test_a_linear_model_labels_graphs_for_a_graph_model():
     said = probability(teacher.logit(features))
     graphs = star_graphs(stars, np.zeros(stars.truth.shape), features, FEATURE_NAMES)
     taught = replace(graphs, labels=said)
-    options = Options(seed=1, n_epochs=10)
+    options = Options(seed=1, n_epochs=20)
     student = fit(
         lambda: models.diffgraphormer(star.NODE_NAMES, FEATURE_NAMES, 0.0), taught, options
     )
