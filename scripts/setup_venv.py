@@ -127,17 +127,19 @@ def pip_command(venv: Path, extras: List[str]) -> List[str]:
 def install(venv: Path, extras: List[str], optional: List[str]) -> None:
     """Install the project with its extras.
 
-    An ``optional`` extra that cannot be had here (no wheels) is left out, and said so.
+    An ``optional`` extra that cannot be had here (no wheels) is left out, and said so; of several
+    each is tried alone then.
     """
     if subprocess.run(pip_command(venv, sorted({*extras, *optional}))).returncode == 0:
         return
     if not optional:
         raise SetupError("pip could not install the project; its message is above")
-    print(f"*** not all to be had here: [{', '.join(optional)}]; one by one", file=sys.stderr)
-    install(venv, extras, [])
+    if len(optional) == 1:
+        print(f"*** not to be had here: [{optional[0]}]; going on without", file=sys.stderr)
+        install(venv, extras, [])
+        return
     for name in optional:
-        if subprocess.run(pip_command(venv, sorted({*extras, name}))).returncode != 0:
-            print(f"*** going on without [{name}]", file=sys.stderr)
+        install(venv, extras, [name])
 
 
 def main() -> int:

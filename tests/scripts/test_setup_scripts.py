@@ -184,3 +184,7 @@ def test_optional_extra_without_a_wheel_is_left_out_loudly(
     setup_venv.install(tmp_path, ["test"], ["train"])
     assert [command[-1].rpartition("[")[2] for command in commands] == ["test,train]", "test]"]
     assert "[train]; going on without" in capsys.readouterr().err
+    commands.clear()
+    setup_venv.install(tmp_path, ["test"], ["graph", "train"])
+    asked = [command[-1].rpartition("[")[2] for command in commands]
+    assert asked == ["graph,test,train]", "graph,test]", "test,train]", "test]"]
