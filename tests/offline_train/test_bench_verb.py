@@ -1,13 +1,14 @@
 """``apex bench`` finds benchmarks by name, as plug-ins."""
 
 import argparse
+import json
 from types import SimpleNamespace
 
 import pytest
 
 from apex_edge import plugins
-from apex_edge.errors import PluginError
-from offline_train.benchmarks import verb
+from apex_edge.errors import ConfigError, PluginError
+from offline_train.benchmarks import lines, suites, verb
 
 
 def parser():
@@ -68,3 +69,30 @@ def test_no_or_an_unknown_benchmark_is_a_wrong_command_line(words):
 
 def test_rollout_is_registered():
     assert parser().parse_args(["rollout", "--scenes", "5"]).scenes == 5
+
+
+@pytest.mark.parametrize(("value", "code"), [(1.0, 0), (3.0, 1)])
+def test_a_bench_of_suites_runs_the_chosen_ones_and_fails_on_a_miss(value, code, tmp_path, capsys):
+    parser = argparse.ArgumentParser()
+    suites.add_suite_arguments(parser, ("one", "two"))
+    out = tmp_path / "lines.json"
+    args = parser.parse_args(["--suite", "two", "--seed", "7", "--json", str(out)])
+    asked = []
+
+    def measure(name):
+        asked.append(name)
+        return [lines.at_most(name, "a figure", value, 2.0)]
+
+    assert suites.run_suites(args, ("one", "two"), measure, {"format": "toy"}) == code
+    written = json.loads(out.read_text(encoding="utf-8"))
+    assert asked == ["two"] and "a figure" in capsys.readouterr().out
+    assert (written["format"], written["seed"], written["is_ok"]) == ("toy", 7, code == 0)
+    assert [line["measured"] for line in written["lines"]] == [f"{value:g}"]
+
+
+def test_a_bench_refuses_a_seed_below_zero_and_a_folder_that_is_not_there(tmp_path):
+    parser = argparse.ArgumentParser()
+    suites.add_suite_arguments(parser, ("one",))
+    for wrong in (["--seed", "-1"], ["--json", str(tmp_path / "no" / "f.json")]):
+        with pytest.raises(ConfigError):
+            suites.run_suites(parser.parse_args(wrong), ("one",), lambda name: [], {})
