@@ -15,6 +15,7 @@ import numpy as np
 from apex_edge.triggers.approach import Pairs, closest, first_contact
 from apex_edge.triggers.features import edge_features
 from apex_edge.types import Array
+from offline_train.trigger.metrics import sigmoid
 from offline_train.trigger.seeds import rng
 
 N_NODES = 6
@@ -163,14 +164,18 @@ def _complete(place: Array, velocity: Array, designed: Array) -> StarSet:
         node_dt=node_dt,
         designed=designed,
         truth=np.isfinite(contact_s).reshape(designed.shape),
-        risk=_risk(to_meet, -_dot(_unit(to_meet), heading), DT_S * speed),
-        risk_fixed=_risk(to_master, _dot(_unit(to_master), heading), speed),
+        risk=risk_score(_norm(to_meet), -_dot(_unit(to_meet), heading), DT_S * speed),
+        risk_fixed=risk_score(_norm(to_master), _dot(_unit(to_master), heading), speed),
     )
 
 
-def _risk(way: Array, cosine: Array, speed: Array) -> Array:
-    near = _sigmoid(1.0 / (_norm(way) + 1e-6))
-    fast = _sigmoid(1.5 * (speed - 2.5))
+def risk_score(distance: Array, cosine: Array, speed: Array) -> Array:
+    """Return the paper's risk of targets: near, heading for the master, and fast.
+
+    Source: APEX appendix "Training of DG-Motion Attention"; the constants are the released code's.
+    """
+    near = sigmoid(1.0 / (distance + 1e-6))
+    fast = sigmoid(1.5 * (speed - 2.5))
     score: Array = _WEIGHTS[0] * near + _WEIGHTS[1] * (cosine + 1.0) / 2.0 + _WEIGHTS[2] * fast
     return score
 
@@ -208,8 +213,3 @@ def _unit(vectors: Array) -> Array:
     length = _norm(vectors)[..., None]
     unit: Array = vectors / np.where(length > 0.0, length, 1.0)
     return unit
-
-
-def _sigmoid(x: Array) -> Array:
-    squashed: Array = 0.5 * (1.0 + np.tanh(0.5 * x))
-    return squashed

@@ -9,11 +9,10 @@ import numpy as np
 from apex_edge.triggers.features import FEATURE_NAMES
 from apex_edge.types import Array
 from offline_train.extras import module
+from offline_train.scenes.star import risk_score
 from offline_train.trigger.observe import Observed
 
-_WEIGHTS = (0.34, 0.33, 0.33)
-_STEEPNESS, _FAST = 1.5, 2.5
-_EPSILON = 1e-6
+_TINY = 1e-12
 
 
 def speed_only(seen: Observed) -> Array:
@@ -39,10 +38,8 @@ def paper_risk(seen: Observed) -> Array:
     to_centre = np.where(is_centre, -geometry.offset_m, geometry.offset_m)
     velocity = np.where(is_centre, geometry.target_vel_m_s, geometry.mover_vel_m_s)
     distance, speed = np.linalg.norm(to_centre, axis=1), np.linalg.norm(velocity, axis=1)
-    cosine = np.sum(to_centre * velocity, axis=1) / np.maximum(distance * speed, _EPSILON**2)
-    near = _sigmoid(1.0 / (distance + _EPSILON))
-    fast = _sigmoid(_STEEPNESS * (speed - _FAST))
-    return _WEIGHTS[0] * near + _WEIGHTS[1] * 0.5 * (cosine + 1.0) + _WEIGHTS[2] * fast
+    cosine = np.sum(to_centre * velocity, axis=1) / np.maximum(distance * speed, _TINY)
+    return risk_score(distance, cosine, speed)
 
 
 def gradient_boosting(train: Array, label: Array, test: Array, seed: int) -> Array:
@@ -69,8 +66,3 @@ def gradient_boosting(train: Array, label: Array, test: Array, seed: int) -> Arr
     )
     probability: Array = trees.fit(train, label).predict_proba(test)[:, 1]
     return probability
-
-
-def _sigmoid(x: Array) -> Array:
-    squashed: Array = 0.5 * (1.0 + np.tanh(0.5 * x))
-    return squashed

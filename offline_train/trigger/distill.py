@@ -33,9 +33,3 @@ def soft_target(teacher: Array, truth: Array, mix_truth: float) -> Array:
     if not np.all((target >= 0.0) & (target <= 1.0)):
         raise ApexError("the teacher must give probabilities between 0 and 1")
     return target
-
-
-def probability(logit: Array) -> Array:
-    """Return the probability (r,) of logits (r,)."""
-    said: Array = 0.5 * (1.0 + np.tanh(0.5 * logit))
-    return said

@@ -106,3 +106,9 @@ def _few(recall: Array, fpr: Array) -> Array:
     wanted = np.searchsorted(way, np.linspace(way[0], way[-1], MAX_POINTS))
     few: Array = np.unique(np.minimum(wanted, len(way) - 1))
     return few
+
+
+def sigmoid(logit: Array) -> Array:
+    """Return the probability (r,) of logits (r,), without overflow."""
+    chance: Array = 0.5 * (1.0 + np.tanh(0.5 * logit))
+    return chance

@@ -9,8 +9,9 @@ from apex_edge.errors import ApexError
 from apex_edge.triggers.features import FEATURE_NAMES
 from offline_train.graph_models.batches import star_graphs
 from offline_train.scenes import star
-from offline_train.trigger.distill import probability, soft_target
+from offline_train.trigger.distill import soft_target
 from offline_train.trigger.fit import fit_rows
+from offline_train.trigger.metrics import sigmoid
 
 NAMES = ("first", "second", "third")
 
@@ -38,8 +39,8 @@ def test_targets_that_make_no_sense_are_refused(teacher, truth, mix):
 
 def test_the_student_takes_over_a_linear_teacher_with_its_doubt(rows):
     logit = rows @ np.array([1.0, -2.0, 0.0]) + 0.5
-    student = fit_rows(rows, probability(logit), NAMES)
-    assert np.max(np.abs(probability(student.logit(rows)) - probability(logit))) < 0.02
+    student = fit_rows(rows, sigmoid(logit), NAMES)
+    assert np.max(np.abs(sigmoid(student.logit(rows)) - sigmoid(logit))) < 0.02
 
 
 def test_hard_targets_give_plain_logistic_regression(rows):
@@ -53,8 +54,8 @@ def test_hard_targets_give_plain_logistic_regression(rows):
 
 def test_mixing_the_truth_in_mends_a_teacher_that_is_wrong(rows):
     random = np.random.default_rng(2)
-    truth = random.random(len(rows)) < probability(2.0 * rows[:, 0])
-    wrong = probability(-2.0 * rows[:, 0])
+    truth = random.random(len(rows)) < sigmoid(2.0 * rows[:, 0])
+    wrong = sigmoid(-2.0 * rows[:, 0])
     weights = [
         fit_rows(rows, soft_target(wrong, truth, mix), NAMES).weight[0] for mix in (0.0, 0.5, 1.0)
     ]
@@ -89,12 +90,12 @@ def test_a_linear_model_labels_graphs_for_a_graph_model():
     stars = star.hard_stars("train", 2, 400)
     features = star.pair_features(stars)
     teacher = fit_rows(features, stars.truth.ravel(), FEATURE_NAMES)
-    said = probability(teacher.logit(features))
+    said = sigmoid(teacher.logit(features))
     graphs = star_graphs(stars, np.zeros(stars.truth.shape), features, FEATURE_NAMES)
     taught = replace(graphs, labels=said)
     options = Options(seed=1, n_epochs=20)
     student = fit(
         lambda: models.diffgraphormer(star.NODE_NAMES, FEATURE_NAMES, 0.0), taught, options
     )
-    gap = np.abs(probability(student.logit(taught)) - said)
+    gap = np.abs(sigmoid(student.logit(taught)) - said)
     assert gap.mean() < 0.03

@@ -17,9 +17,14 @@ from apex_edge.types import Array
 from offline_train.benchmarks.lines import Line, at_least, note
 from offline_train.scenes import mujoco_table, tabletop_pairs
 from offline_train.trigger import seeds
-from offline_train.trigger.distill import probability, soft_target
+from offline_train.trigger.distill import soft_target
 from offline_train.trigger.fit import ROWS_PER_PAIR, fit_rows, thin
-from offline_train.trigger.metrics import calibration_error, frame_figures, probability_figures
+from offline_train.trigger.metrics import (
+    calibration_error,
+    frame_figures,
+    probability_figures,
+    sigmoid,
+)
 from offline_train.trigger.observe import Observed, Watching, join, observe
 from offline_train.trigger.soft import soften
 
@@ -100,7 +105,7 @@ def _scores(train: Observed, truth_share: float, test: Observed) -> Dict[str, fl
     model = fit_rows(train.features, target, FEATURE_NAMES)
     logit: Array = model.logit(test.features)
     found = dict(frame_figures(test.label, logit))
-    found.update(probability_figures(test.label, probability(logit)))
+    found.update(probability_figures(test.label, sigmoid(logit)))
     return {key: float(found[key] or 0.0) for key in _FIGURES}
 
 

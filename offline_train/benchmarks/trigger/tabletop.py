@@ -111,7 +111,7 @@ def _behind_gate(setting: Setting, model: LinearFit, seen: Observed) -> List[Lin
 
 
 def _calibration(setting: Setting, brier: float, model: LinearFit, seen: Observed) -> List[Line]:
-    probability = 0.5 * (1.0 + np.tanh(0.5 * model.logit(seen.features)))
+    probability = metrics.sigmoid(model.logit(seen.features))
     found = metrics.probability_figures(seen.label, probability)
     return [
         at_most(SUITE, f"{setting}, linear: ECE, {metrics.N_BINS} bins", found["ece"], ECE),
